@@ -332,7 +332,8 @@ fn lenzes_come_are_asked_are_lost_and_come_back_and_the_run_says_what_the_wire_d
         let count = |key: &str| counters[key].as_u64().unwrap_or_else(|| panic!("no {key}: {counters}"));
         // Slave_Diag, Set_Prm, Chk_Cfg, Slave_Diag: twice.
         assert!(count("start_ups") >= 8 && count("wire_us") > 0, "{counters}");
-        assert_eq!(count("second_master"), 0, "{counters}");
+        // A late answer of one drive in the turn of the other is late.
+        assert_eq!((count("second_master"), count("wrong_station")), (0, 0), "{counters}");
         // An answer of a drive that its host holds up collides with the retry.
         let broken = count("wrong_check").max(count("wrong_length"));
         assert!(count("retries") <= count("slot_times") && broken <= count("slot_times"), "{counters}");

@@ -94,13 +94,20 @@ impl ProfibusBus {
     #[cold]
     fn unusual(&mut self, other: Other, slots: &mut [Slot]) {
         self.watchful = WATCHFUL;
-        let sender = |address: u8| self.stations.iter().position(|station| station.address() == address);
-        let place = match other {
-            Other::Unrelated(_, Some(address)) => sender(address),
+        let station_at = |address: u8| self.stations.iter().position(|station| station.address() == address);
+        let sender = match other {
+            Other::Unrelated(_, Some(address)) => station_at(address),
             _ => None,
         };
-        let place = place.unwrap_or(self.last.into());
+        let place = sender.unwrap_or(self.last.into());
         let again = self.stations.get(place).is_some_and(Station::was_answered);
+        // An own station that still owes an answer, in the turn of another one.
+        let other = match other {
+            Other::Unrelated(Unrelated::Turn, from) if sender.is_some() && !again => {
+                Other::Unrelated(Unrelated::Late, from)
+            }
+            other => other,
+        };
         let Some(counters) = slots.get_mut(place).map(|slot| &mut slot.counters) else { return };
         match other {
             Other::Malformed { why, expected: true } => {
@@ -114,7 +121,7 @@ impl ProfibusBus {
                     self.notes.set_noisy();
                 }
             }
-            Other::Unrelated(Unrelated::Station, _) => {
+            Other::Unrelated(Unrelated::Station | Unrelated::Turn, _) => {
                 Own::WrongStation.count(counters);
                 counters.foreign += 1;
             }

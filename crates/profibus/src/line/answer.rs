@@ -69,8 +69,10 @@ pub(in super::super) enum Other {
 /// Why a telegram answers nothing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(in super::super) enum Unrelated {
-    /// From or to another station.
+    /// To another station.
     Station,
+    /// From a station that was not requested.
+    Turn,
     /// Of another service, or of a kind that does not answer it.
     Kind,
     /// Nothing is under way.
@@ -109,8 +111,11 @@ impl Expected {
             Telegram::Data(Frame { head, .. }) if head.fc.0 & REQUEST != 0 => {
                 Err(Other::Master { address: head.sa, sign: Sign::Request })
             }
-            Telegram::Data(Frame { head, .. }) if (head.da, head.sa) != (own, self.da) => {
+            Telegram::Data(Frame { head, .. }) if head.da != own => {
                 unrelated(Unrelated::Station, Some(head.sa))
+            }
+            Telegram::Data(Frame { head, .. }) if head.sa != self.da => {
+                unrelated(Unrelated::Turn, Some(head.sa))
             }
             Telegram::Data(Frame { head, .. }) if head.fc.0 & STATION != 0 => {
                 Err(Other::Master { address: head.sa, sign: Sign::Answer })

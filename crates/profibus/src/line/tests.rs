@@ -261,7 +261,7 @@ fn a_broken_answer_is_named_and_nothing_behind_it_counts_until_the_wire_was_idle
 fn what_comes_from_others_or_of_another_kind_answers_nothing() {
     let unrelated = |why, from| Some(Heard::Other(Other::Unrelated(why, from)));
     for ((da, sa, fc), heard) in [
-        ((2, 8, 0x08), unrelated(Unrelated::Station, Some(8))),
+        ((2, 8, 0x08), unrelated(Unrelated::Turn, Some(8))),
         ((3, 7, 0x08), unrelated(Unrelated::Station, Some(7))),
         ((2, 7, 0x09), unrelated(Unrelated::Kind, Some(7))),
         ((7, 2, 0x7D), unrelated(Unrelated::Kind, None)),
