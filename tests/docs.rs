@@ -217,7 +217,9 @@ fn mistake(line: &str) -> Option<String> {
         ["cargo", ..] => {
             let named = words.windows(2).filter_map(|pair| match *pair {
                 ["--example", name] => Some(vec![format!("examples/{name}.rs")]),
-                ["--bench", name] => Some(vec![format!("benches/{name}.rs")]),
+                ["--bench", name] => {
+                    Some(vec![format!("benches/{name}.rs"), format!("benches/{name}/main.rs")])
+                }
                 ["--test", name] => Some(vec![format!("tests/{name}.rs"), format!("tests/{name}/main.rs")]),
                 _ => None,
             });

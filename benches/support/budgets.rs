@@ -139,7 +139,7 @@ fn row(line: &str) -> Option<Row> {
 }
 
 fn path() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("benches/budgets.csv")
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("budgets.csv")
 }
 
 /// What of a profile changes the code, and the header of what it says of one package.
@@ -149,7 +149,7 @@ const CODE_GENERATION: [&str; 5] = ["lto", "codegen-units", "opt-level", "panic"
 fn compiler() -> io::Result<String> {
     let said = Command::new("rustc").arg("-V").output()?;
     let version = String::from_utf8_lossy(&said.stdout).trim().to_owned();
-    let manifest = Path::new(env!("CARGO_MANIFEST_DIR")).join("Cargo.toml");
+    let manifest = Path::new(env!("CARGO_MANIFEST_DIR")).join("../Cargo.toml");
     let manifest = std::fs::read_to_string(manifest).unwrap_or_default();
     // Profiles that a bench is built with; `bench` inherits from `release`.
     let mut is_part = false;

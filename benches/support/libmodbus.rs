@@ -27,7 +27,7 @@ pub struct Client {
 impl Libmodbus {
     /// Compiles it; an error says what is missing.
     pub fn compile() -> Result<Libmodbus, String> {
-        let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("benches/support/libmodbus.c");
+        let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("support/libmodbus.c");
         let program = Path::new(env!("CARGO_TARGET_TMPDIR")).join("libmodbus-client");
         let output = Command::new("cc")
             .args(["-O2", "-Wall", "-o"])

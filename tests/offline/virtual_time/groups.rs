@@ -178,7 +178,7 @@ fn a_full_queue_takes_the_parts_of_all_members_or_none_and_has_room_for_their_st
 #[test]
 fn a_group_of_the_plan_has_the_full_room_of_a_stream_and_any_other_shares_it() {
     for (members, room) in [([0, 1], 1_024), ([1, 2], 512)] {
-        let setup = Master::from_file("rt-config/gantry.toml").unwrap();
+        let setup = Master::from_file("../../rt-config/gantry.toml").unwrap();
         let mut sim = setup.simulate(WorldOptions::default()).unwrap();
         let group = Group::new(members.map(|index| sim.take_axis(index))).unwrap();
         assert_eq!(group.stream_room(), room);

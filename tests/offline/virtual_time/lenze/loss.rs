@@ -4,11 +4,12 @@ use fieldbeat::Simulation;
 use fieldbeat::axis::{Command, StopCause};
 use fieldbeat::bus::profibus::ProfibusPlan;
 use fieldbeat::sim::FaultPlan;
-use fieldbeat::sim::profibus::{ForeignMaster, ForeignSettings, NoiseSettings};
+use fieldbeat::sim::profibus::{ForeignMaster, ForeignSettings, NoiseSettings, ProfibusSegment};
 use fieldbeat::telemetry::Counters;
 use fieldbeat::time::{MS, S};
 use fieldbeat_profibus::counters::Own;
 
+use super::tap::TapWire;
 use super::turns::{STOP, jog};
 use super::{Lenze, PORT, cycle, own, wire};
 
@@ -127,6 +128,23 @@ fn an_echo_is_skipped_where_it_is_announced_and_is_else_no_other_master() {
             assert!(unnoticed || !announced, "{c:?}");
         }
     }
+}
+
+#[test]
+fn an_answer_in_the_turn_of_another_drive_is_late_and_from_no_wrong_station() {
+    let mut bus = wire(1_500_000, 2);
+    bus.retries = 0;
+    let taps = TapWire::new(ProfibusSegment::of(&bus));
+    // Behind the request of the next turn, whose own answer is lost.
+    let late_ns = bus.slot_ns() + 300_000_000 / 1_500;
+    let mut m = Lenze::on(bus, cycle(), taps.wire());
+    m.online();
+    taps.drives[0].lock().answer_late(late_ns);
+    taps.drives[1].lock().unplugged = true;
+    m.sim.run(5);
+    let counters = &m.finish()[0];
+    assert!((4..=5).contains(&counters.late), "{counters:?}");
+    assert_eq!((own(counters, Own::OtherJob), own(counters, Own::WrongStation)), (counters.late, 0));
 }
 
 #[test]

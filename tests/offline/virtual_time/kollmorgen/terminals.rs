@@ -64,7 +64,7 @@ fn a_segment_without_a_drive_moves_its_outputs_and_names_what_is_missing() {
 #[test]
 fn the_sample_of_a_coupler_with_terminals_comes_into_operation() {
     let sample =
-        include_str!("../../../rt-config/terminals.toml").replace("\"eth1\"", &format!("\"{LINE}\""));
+        include_str!("../../../../rt-config/terminals.toml").replace("\"eth1\"", &format!("\"{LINE}\""));
     let Configuration { mut plan, simulation, .. } = parse(&sample, "terminals.toml").unwrap();
     let bus = plan.buses.remove(0);
     let mut machine = Machine::on(bus, simulation.build(), plan.cycle, WorldOptions::default());

@@ -9,6 +9,6 @@
 
 mod config;
 mod conformance;
-#[path = "support/forward.rs"]
+#[path = "../support/forward.rs"]
 mod forward;
 mod virtual_time;

@@ -24,7 +24,7 @@ pub fn line(section: &str, fragment: &str) -> String {
 
 #[test]
 fn a_segment_without_a_drive_is_told_by_its_devices() {
-    let sample = std::fs::read_to_string("rt-config/terminals.toml").unwrap();
+    let sample = std::fs::read_to_string("../../rt-config/terminals.toml").unwrap();
     let reported = describe(&read(&sample));
     assert_eq!(reported[0], "m.toml: 4 devices, 1 bus");
     for line in [

@@ -12,7 +12,7 @@ mod commanding;
 mod commands;
 mod evidence;
 mod faults;
-#[path = "../support/fuse.rs"]
+#[path = "../../support/fuse.rs"]
 mod fuse;
 mod grid;
 mod groups;

@@ -229,19 +229,19 @@ fn files_that_cannot_be_read_say_so() {
     }
     let curve = fieldbeat::config::linmot::curve::load(path("pipe")).unwrap_err().to_string();
     assert!(curve.contains("it is a pipe"), "{curve}");
-    symlink(std::fs::canonicalize("rt-config/demo.toml").unwrap(), path("demo.toml")).unwrap();
+    symlink(std::fs::canonicalize("../../rt-config/demo.toml").unwrap(), path("demo.toml")).unwrap();
     assert!(load(path("demo.toml")).is_ok() && is_demo(path("demo.toml")));
-    assert!(!is_demo("rt-config/linmot.toml") && !is_demo(path("pipe")));
+    assert!(!is_demo("../../rt-config/linmot.toml") && !is_demo(path("pipe")));
 }
 
 #[test]
 fn a_plan_as_json_has_every_key() {
-    let plan = load("rt-config/demo.toml").unwrap().plan;
+    let plan = load("../../rt-config/demo.toml").unwrap().plan;
     let said = json(&plan, &[]);
     let keys =
         |value: &serde_json::Value| -> Vec<String> { value.as_object().unwrap().keys().cloned().collect() };
     assert_eq!(keys(&said), ["buses", "cycle", "drives", "errors", "groups", "source"]);
-    assert_eq!(said["source"], "rt-config/demo.toml");
+    assert_eq!(said["source"], "../../rt-config/demo.toml");
     assert_eq!((&said["cycle"]["period_ns"], &said["errors"]), (&1_000_000.into(), &serde_json::json!([])));
     let drives = said["drives"].as_array().unwrap();
     let axes = plan.axes();
@@ -443,7 +443,7 @@ fn the_samples_tell_the_truth() {
         ),
         ("terminals", 15, ""),
     ] {
-        let sample = tells_the_truth(&format!("rt-config/{name}.toml"), least);
+        let sample = tells_the_truth(&format!("../../rt-config/{name}.toml"), least);
         for place in places.split(", ").filter(|place| !place.is_empty()) {
             // With its dot the name of the table stands before the key.
             let (section, table) = place.split_once(' ').unwrap_or((place, ""));
@@ -608,9 +608,9 @@ proptest! {
         which in 0_usize..3,
     ) {
         let samples = [
-            include_str!("../../rt-config/linmot.toml"),
-            include_str!("../../rt-config/kollmorgen.toml"),
-            include_str!("../../rt-config/lenze.toml"),
+            include_str!("../../../rt-config/linmot.toml"),
+            include_str!("../../../rt-config/kollmorgen.toml"),
+            include_str!("../../../rt-config/lenze.toml"),
         ];
         let sample = samples[which].replace("\n# stop", "\nstop").replace("\n# sim", "\nsim");
         let mut lines: Vec<String> = sample.lines().map(str::to_owned).collect();

@@ -466,7 +466,8 @@ fn rows_and_targets_that_roll_are_the_masters_demand() {
 #[test]
 fn the_samples_of_old_run_as_they_did() {
     for name in ["demo", "gantry", "linmot", "moons", "kollmorgen"] {
-        let Configuration { mut plan, simulation, .. } = load(format!("rt-config/{name}.toml")).unwrap();
+        let Configuration { mut plan, simulation, .. } =
+            load(format!("../../rt-config/{name}.toml")).unwrap();
         // This application waits for each end.
         plan.cycle.heartbeat_ns = None;
         let setup = Master::from_plan(plan).with_simulation(simulation);
