@@ -12,7 +12,7 @@
 //!
 //! The tests own 127.p.250.0/23, p from the process as in `tests/support`.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 use std::fs;
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
@@ -29,9 +29,6 @@ use serde_json::Value;
 
 /// The program as a user has it.
 const PROGRAM: &str = env!("CARGO_BIN_EXE_fieldbeat");
-
-/// The widest line: two panes fit on a screen.
-const WIDTH: usize = 120;
 
 /// What completes a part of a configuration.
 const PARTS: [(&str, &str); 5] = [
@@ -721,39 +718,4 @@ fn texts(folder: &Path, found: &mut Vec<PathBuf>) {
             found.push(path);
         }
     }
-}
-
-/// How wide a line is. Tables, those of the library's documentation too, and where links lead cannot be broken.
-fn width(line: &str) -> usize {
-    let text = line.trim_start().trim_start_matches("//!").trim_start_matches("///").trim_start();
-    if text.starts_with('|') {
-        return 0;
-    }
-    let mut pieces = line.split("](");
-    let first = pieces.next().map_or(0, |piece| piece.chars().count());
-    let rest = pieces.map(|piece| piece.split_once(')').map_or(0, |(_, rest)| rest.chars().count()));
-    first + rest.sum::<usize>()
-}
-
-#[test]
-fn no_line_is_wider_than_two_panes() {
-    let mut files = Vec::new();
-    texts(&checkout(""), &mut files);
-    assert!(files.len() > 300, "{}", files.len());
-    let mut wide: BTreeMap<String, Vec<usize>> = BTreeMap::new();
-    for file in files {
-        let text = fs::read_to_string(&file).unwrap();
-        let name = file.strip_prefix(checkout("")).unwrap().display().to_string();
-        let markdown = name.ends_with(".md");
-        let mut printed = false;
-        for (number, line) in (1..).zip(text.lines()) {
-            if let Some(info) = line.trim_start().strip_prefix("```").filter(|_| markdown) {
-                printed = !printed && (info == "text" || info.starts_with("console"));
-            }
-            if !printed && width(line) > WIDTH {
-                wide.entry(name.clone()).or_default().push(number);
-            }
-        }
-    }
-    assert!(wide.is_empty(), "lines of more than {WIDTH} columns: {wide:#?}");
 }
