@@ -57,6 +57,8 @@ pub struct Args {
     pub count: bool,
     /// Write what was counted into the file of budgets instead of comparing it.
     pub write_budgets: bool,
+    /// Count the misses of simulated caches, too, which takes three times as long.
+    pub misses: bool,
     /// Where the numbers go.
     json: Option<PathBuf>,
 }
@@ -66,7 +68,7 @@ impl Args {
     ///
     /// A plain word chooses benches by a part of their name, as in `cargo bench jitter`: the others end at once.
     pub fn parse(name: &str) -> Args {
-        let mut args = Args { quick: false, count: false, write_budgets: false, json: None };
+        let mut args = Args { quick: false, count: false, write_budgets: false, misses: false, json: None };
         let mut chosen = None;
         let mut words = std::env::args().skip(1);
         while let Some(word) = words.next() {
@@ -76,6 +78,7 @@ impl Args {
                 "--quick" => args.quick = true,
                 "--count" if count::BENCHES.contains(&name) => args.count = true,
                 "--write-budgets" if args.count => args.write_budgets = true,
+                "--misses" if args.count => args.misses = true,
                 "--json" => match words.next() {
                     Some(path) => args.json = Some(path.into()),
                     None => usage("--json needs a file"),
@@ -94,7 +97,7 @@ impl Args {
 fn usage(mistake: &str) -> ! {
     eprintln!(
         "{mistake}; usage: cargo bench [NAME] -- [--quick] [--json FILE], \
-         or cargo bench --bench wire|scale -- --count [--write-budgets] [--json FILE]"
+         or cargo bench --bench wire|scale -- --count [--write-budgets] [--misses] [--json FILE]"
     );
     std::process::exit(2)
 }
