@@ -189,10 +189,10 @@ fn files_that_cannot_be_read_say_so() {
         error("no/such.toml".as_ref()),
         format!("cannot read no/such.toml: No such file or directory; {remedy}")
     );
-    assert_eq!(error("src".as_ref()), format!("cannot read src: Is a directory; {remedy}"));
+    assert_eq!(error("config".as_ref()), format!("cannot read config: Is a directory; {remedy}"));
     // What `fn main() -> Result<(), Box<dyn Error>>` prints.
-    let shown = format!("{:?}", Box::<dyn std::error::Error>::from(load("src").unwrap_err()));
-    assert_eq!(shown, error("src".as_ref()));
+    let shown = format!("{:?}", Box::<dyn std::error::Error>::from(load("config").unwrap_err()));
+    assert_eq!(shown, error("config".as_ref()));
     let device = format!("cannot read /dev/zero: it is a device or a socket; {remedy}");
     assert_eq!(error("/dev/zero".as_ref()), device);
 

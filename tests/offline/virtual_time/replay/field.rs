@@ -8,8 +8,8 @@ use fieldbeat::telemetry::recording::Recorder;
 use fieldbeat_record::recording::reading::{Entry, Reading};
 
 /// From the directory in which cargo runs tests: the path of the configuration stands in the record.
-const RECORD: &str = "tests/records/lost.mcap";
-const CONFIGURATION: &str = "tests/records/lost.toml";
+const RECORD: &str = "../records/lost.mcap";
+const CONFIGURATION: &str = "../records/lost.toml";
 
 fn plan() -> fieldbeat::Plan {
     fieldbeat::config::load(CONFIGURATION).unwrap().plan
