@@ -7,6 +7,7 @@ use clap::Args;
 use fieldbeat_config::{Loaded, load_machine};
 use fieldbeat_control::Station;
 use fieldbeat_core::axis::Axis;
+use fieldbeat_core::errors::TOO_LATE;
 use fieldbeat_core::rt::thread::helper_thread;
 use fieldbeat_core::time::MS;
 use fieldbeat_master::{Master, Setup};
@@ -125,9 +126,9 @@ pub fn not_whole(summary: &Summary) -> Stop {
             "; look at their power and cables",
         ),
         of_host(
-            "answered after the receive deadline",
+            "answered too late",
             chosen(&|drive| (drive.answered == 0 || drive.losses > 0) && drive.is_late()),
-            "raise receive_deadline or the period, or look at what holds them or this computer up",
+            TOO_LATE,
         ),
         of_link(
             "not online at the end",

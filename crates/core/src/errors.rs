@@ -13,6 +13,10 @@ macro_rules! debug_as_display {
     };
 }
 
+/// The remedy where drives answer, but too late.
+pub const TOO_LATE: &str =
+    "raise reply_within, receive_deadline or the period, or look at what holds them or this computer up";
+
 /// The remedy where no descriptor is left, whatever was to be opened.
 pub fn no_descriptor(error: &std::io::Error) -> Option<&'static str> {
     match error.raw_os_error()? {

@@ -4,6 +4,7 @@ use std::net::{Ipv4Addr, SocketAddrV4};
 use std::os::fd::RawFd;
 use std::sync::Arc;
 
+use super::counters::OWN;
 use super::fields::layout;
 use super::last::LastStop;
 use super::notation::Upids;
@@ -17,7 +18,9 @@ use fieldbeat_core::axis::{AxisPlan, FaultNames, FoundRunning, MonitorChannel, P
 use fieldbeat_core::bus::desired::Capabilities;
 use fieldbeat_core::bus::native::{NativeBytes, NativeLayout, WantedOutputs};
 use fieldbeat_core::bus::variant::Variant;
-use fieldbeat_core::bus::{Bus, BusPlan, Cycle, Ends, LastResort, OpenError, Slot, Unmatched, drives};
+use fieldbeat_core::bus::{
+    Bus, BusPlan, Cycle, Ends, Exchange, LastResort, OpenError, OwnCounter, Slot, Unmatched, drives,
+};
 use fieldbeat_core::errors::no_descriptor;
 use fieldbeat_core::net::{Carriers, Datagrams, Lock, Outbox, Sent, UdpOptions};
 use fieldbeat_core::rt::Regions;
@@ -40,6 +43,10 @@ pub struct LinUdpBus {
     senders: Senders,
     ends: Ends,
     unmatched: Unmatched,
+    /// Exchanges of earlier cycles may be owed.
+    has_earlier: bool,
+    /// The orderly end has begun: no more requests.
+    is_ending: bool,
     /// Until it is taken.
     last: Option<LastStop>,
     /// The drives are this master's until the socket is closed.
@@ -86,6 +93,8 @@ impl LinUdpBus {
             senders: Senders::new(&peers),
             ends,
             unmatched: Unmatched::default(),
+            has_earlier: false,
+            is_ending: false,
             last,
             _locks: locks,
         })
@@ -201,13 +210,19 @@ impl Bus for LinUdpBus {
         // A system call in each cycle, although usually nothing waits: a copy of an old reply that has come since the
         // last window would pass for the next reply, if the definitions of both are the same.
         self.take_in(false, slots);
-        for (index, slot) in slots.iter().enumerate() {
-            self.outbox.post(index, slot.due);
+        let mut has_earlier = false;
+        for (index, (station, slot)) in self.stations.iter_mut().zip(slots.iter_mut()).enumerate() {
+            self.outbox.post(index, slot.due && !self.is_ending);
+            if matches!(slot.exchange, Exchange::Owed { .. }) {
+                station.owe(slot);
+            }
+            has_earlier |= slot.has_earlier;
         }
+        self.has_earlier = has_earlier;
         self.net.send(&mut self.outbox);
         for (index, (station, slot)) in self.stations.iter_mut().zip(slots).enumerate() {
             match self.outbox.sent(index) {
-                Sent::At(at) => station.sent(at, cycle.deadline, slot),
+                Sent::At(at) => station.sent(at, cycle, slot),
                 Sent::Failed(_) | Sent::Posted => station.unsent(slot),
                 Sent::Idle => {}
             }
@@ -218,9 +233,17 @@ impl Bus for LinUdpBus {
         self.take_in(true, slots);
     }
 
+    fn waited_for(&self, cycle: &Cycle, slots: &[Slot]) -> usize {
+        let waited_for = slots.iter().filter(|slot| slot.exchange.is_waited_for(cycle)).count();
+        match self.has_earlier {
+            false => waited_for,
+            true => waited_for + slots.iter().map(|slot| slot.earlier.waited_for(cycle)).sum::<usize>(),
+        }
+    }
+
     fn prepare(&mut self, cycle: &Cycle, slots: &mut [Slot]) {
         for (index, (station, slot)) in self.stations.iter_mut().zip(slots).enumerate() {
-            if slot.due {
+            if slot.due && !self.is_ending {
                 let length = station.prepare(cycle, slot, self.outbox.room(index));
                 self.outbox.set_length(index, length);
             }
@@ -243,9 +266,12 @@ impl Bus for LinUdpBus {
         self.last.take().map(|last| Box::new(last) as Box<dyn LastResort>)
     }
 
-    fn shut_down(&mut self, _cycle: &Cycle, _slots: &mut [Slot]) -> bool {
-        // The drives keep no connection: once the axes are down, nothing more has to be sent.
-        true
+    fn shut_down(&mut self, _cycle: &Cycle, slots: &mut [Slot]) -> bool {
+        // The drives keep no connection: once the axes are down, nothing more has to be sent, but what is owed has its
+        // time.
+        self.is_ending = true;
+        slots.iter_mut().for_each(|slot| slot.expected_silence = true);
+        !slots.iter().any(|slot| slot.has_earlier || matches!(slot.exchange, Exchange::Owed { .. }))
     }
 
     fn unmatched(&self) -> Unmatched {
@@ -275,6 +301,14 @@ impl BusPlan for LinUdpPlan {
             |one, other| one.address.ip() == other.address.ip();
         let taken = "is taken by another drive; one drive per IP address";
         drives::faults(&self.drives, period_ns, |drive| &drive.axis, LinUdpDrive::faults, same, taken)
+    }
+
+    fn reply_within(&self, index: usize) -> u32 {
+        self.drives.get(index).map_or(1, LinUdpDrive::replies_within)
+    }
+
+    fn own_counters(&self) -> &'static [OwnCounter] {
+        &OWN
     }
 
     fn describe(&self, period_ns: u64) -> Vec<String> {

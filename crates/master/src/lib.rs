@@ -33,6 +33,7 @@ use fieldbeat_core::cycle::engine::Control;
 use fieldbeat_core::cycle::status::{AtEnd, Numbers};
 use fieldbeat_core::cycle::task::{Axes, Task};
 use fieldbeat_core::cycle::{self, Plan, PlanErrors};
+use fieldbeat_core::errors::TOO_LATE;
 use fieldbeat_core::logged::{LoggedCarriers, LoggedClock};
 use fieldbeat_core::net::{Carriers, Os};
 use fieldbeat_core::rt::watch::ThreadWatch;
@@ -138,12 +139,14 @@ pub enum MasterError {
     #[error(transparent)]
     NotAGroup(GroupError),
     /// Not all axes came online.
-    #[error("not online after {waited:?}: {missing}; look at their power, cables and addresses")]
+    #[error("not online after {waited:?}: {missing}; {remedy}")]
     NotOnline {
         /// How long the call waited.
         waited: Duration,
         /// The axes that are missing, with the reason for those whose connection is not open.
         missing: String,
+        /// What to do.
+        remedy: &'static str,
     },
     /// Another master commands a drive, or has frames on its segment.
     #[error("another master commands {0}: end that one, then start this one again")]
@@ -273,8 +276,15 @@ impl Master {
                 return Err(MasterError::Ended);
             }
             if begun.elapsed() > limit {
-                let missing: Vec<String> = missing.into_iter().map(|index| self.absent(index)).collect();
-                return Err(MasterError::NotOnline { waited: limit, missing: missing.join(", ") });
+                let drives = self.numbers().drives;
+                let late = |index: &usize| drives.get(*index).is_some_and(|drive| drive.counters.are_late());
+                let remedy = match missing.iter().all(late) {
+                    true => TOO_LATE,
+                    false => "look at their power, cables and addresses",
+                };
+                let missing: Vec<String> =
+                    missing.into_iter().map(|index| self.absent(index, late(&index))).collect();
+                return Err(MasterError::NotOnline { waited: limit, missing: missing.join(", "), remedy });
             }
             self.alive();
             std::thread::sleep(Duration::from_millis(1));
@@ -282,10 +292,11 @@ impl Master {
     }
 
     /// A drive that is not online, with the reason if it is known.
-    fn absent(&self, index: usize) -> String {
+    fn absent(&self, index: usize, is_late: bool) -> String {
         let (name, _) = &self.observers()[index];
         match self.not_connected(index) {
             Some(why) => format!("{name} (not connected: {why})"),
+            None if is_late => format!("{name} (answers too late)"),
             None => name.clone(),
         }
     }

@@ -110,9 +110,9 @@ impl Show {
                 Err(MasterError::NotOnline { .. }) if !self.is_over() => {
                     self.handler.look_while_waiting(&self.master);
                 }
-                Err(MasterError::NotOnline { missing, .. }) => {
+                Err(MasterError::NotOnline { missing, remedy, .. }) => {
                     let waited = Duration::from_millis(begun.elapsed().as_millis() as u64);
-                    return Err(Error::NotOnline(MasterError::NotOnline { waited, missing }));
+                    return Err(Error::NotOnline(MasterError::NotOnline { waited, missing, remedy }));
                 }
                 waited => return Ok(waited?),
             }

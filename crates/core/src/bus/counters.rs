@@ -31,6 +31,14 @@ pub struct Counters {
     pub own: [u64; OWN_COUNTERS],
 }
 
+impl Counters {
+    /// Most of the replies that were missed have come, too late.
+    #[doc(hidden)]
+    pub fn are_late(&self) -> bool {
+        self.missed > 0 && 2 * self.late > self.missed
+    }
+}
+
 /// The most counters that a protocol has of its own.
 pub const OWN_COUNTERS: usize = 13;
 
