@@ -10,6 +10,7 @@ use crate::slot::{self, Ask};
 use crate::wire::frame::{Command, position};
 use crate::wire::registers::{SyncManager, address};
 use crate::wire::sii::{self, Category, Fault, Identity, Protocols, Status, Use};
+use fieldbeat_core::axis::acyclic::long;
 use fieldbeat_core::time::MS;
 
 /// The longest time of a command; 20 ms is usual, and this thread is a normal one.
@@ -189,8 +190,8 @@ fn text(category: &[u8], number: u8) -> Option<&[u8]> {
 
 /// Characters that a terminal may show.
 fn printable(text: &[u8]) -> String {
-    let shown = |byte: &u8| if byte.is_ascii_graphic() || *byte == b' ' { char::from(*byte) } else { '?' };
-    text.iter().map(shown).collect::<String>().trim().to_owned()
+    let shown = long::characters(text).into_iter().map(|c| if c.is_control() { '?' } else { c });
+    shown.collect::<String>().trim().to_owned()
 }
 
 #[cfg(test)]
@@ -202,6 +203,8 @@ mod tests {
         let texts = [2, 3, b'a', b'b', b'c', 2, b'd', 0x1B, 0, 9];
         assert_eq!(text(&texts, 1), Some(&b"abc"[..]));
         assert_eq!(printable(text(&texts, 2).unwrap()), "d?");
+        assert_eq!(printable(b"EL1252 1\xB5s \x9B\0"), "EL1252 1\u{B5}s ??", "as a real terminal has it");
+        assert_eq!(printable("1\u{B5}s".as_bytes()), "1\u{B5}s");
         assert_eq!(text(&texts, 3), Some(&[][..]));
         assert_eq!(text(&texts, 4), Some(&[][..]), "it says 9, and there are none");
         assert_eq!((text(&texts, 5), text(&texts, 0), text(&[], 1)), (None, None, None));

@@ -11,6 +11,7 @@ use thiserror::Error;
 
 use crate::plan::PORT;
 use crate::wire::encapsulation::{self, Frame, Listed, Status, command};
+use fieldbeat_core::axis::acyclic::long;
 
 /// A device waits so long at most before it answers a broadcast, ms ...
 const MOST_WAIT_MS: u16 = 2_000;
@@ -156,7 +157,7 @@ fn answer(datagram: &[u8], from: SocketAddrV4, context: u64) -> Option<Device> {
     Some(Device {
         from,
         claims: address,
-        name: identity.name.escape_ascii().to_string(),
+        name: long::text(identity.name),
         vendor: identity.vendor,
         device_type: identity.device_type,
         product: identity.product_code,

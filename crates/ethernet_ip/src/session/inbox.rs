@@ -12,7 +12,7 @@ use crate::wire::cip::{Reply, Status, service};
 use crate::wire::connection::{self, ConnectionError, Opened, timeout_factor};
 use crate::wire::encapsulation::{self, Frame, Identity, Unconnected, command};
 use crate::wire::message::{Answer, Immediate, ProfileCode};
-use fieldbeat_core::axis::acyclic::CallError;
+use fieldbeat_core::axis::acyclic::{CallError, long};
 use fieldbeat_core::time::Time;
 
 /// Where packets of a new connection go, as the drive says it.
@@ -203,7 +203,7 @@ impl Session {
 
     fn identified(&mut self, now: Time, reply: &Reply<'_>, out: &mut Vec<u8>) {
         if let Some(identity) = Identity::parse(reply.data).filter(|_| reply.status.is_ok()) {
-            self.device = format!("{} of vendor {}", identity.name.escape_ascii(), identity.vendor);
+            self.device = format!("{} of vendor {}", long::text(identity.name), identity.vendor);
         }
         // For the orderly end it does not matter what the drive is.
         if self.drive.version.is_some() || self.life != Life::Serving {

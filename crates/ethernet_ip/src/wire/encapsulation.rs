@@ -298,7 +298,7 @@ pub struct Identity<'a> {
     pub status: u16,
     /// Its serial number: unique for the vendor.
     pub serial: u32,
-    /// Its name: nothing says that it is text (`escape_ascii` prints it).
+    /// Its name: nothing says that it is text (`long::text` prints it).
     pub name: &'a [u8],
 }
 

@@ -123,10 +123,22 @@ pub fn raw(bytes: &[u8]) -> u64 {
     bytes.iter().take(STEP).rev().fold(0, |raw, byte| raw << 8 | u64::from(*byte))
 }
 
-/// The characters of a text, up to its end.
+/// The characters of a text, up to its end: what cannot be printed is escaped.
 pub fn text(bytes: &[u8]) -> String {
-    let shown = bytes.iter().take_while(|byte| **byte != 0);
-    shown.flat_map(|byte| byte.escape_ascii()).map(char::from).collect()
+    let shown = characters(bytes).into_iter().take_while(|c| *c != '\0');
+    let escaped = |c: char| match u8::try_from(c) {
+        Ok(byte) if byte < 0xA0 => byte.escape_ascii().to_string(),
+        _ => c.escape_debug().to_string(),
+    };
+    shown.map(escaped).collect()
+}
+
+/// The characters of a text as devices write it: ISO 8859-1 (visible strings of CoE, short strings of CIP), or UTF-8.
+pub fn characters(bytes: &[u8]) -> Vec<char> {
+    match std::str::from_utf8(bytes) {
+        Ok(text) => text.chars().collect(),
+        Err(_) => bytes.iter().map(|byte| char::from(*byte)).collect(),
+    }
 }
 
 /// Bytes from two digits each, with blanks between them or without; `None`: these are none, or more than [`MOST`].
@@ -180,6 +192,7 @@ mod tests {
     #[test]
     fn bytes_are_shown_as_what_they_are() {
         assert_eq!(text(b"S700\x07 x\0old"), "S700\\x07 x");
+        assert_eq!([text(b"1\xB5s\x9B"), text("1\u{b5}s".as_bytes())], ["1\u{b5}s\\x9b", "1\u{b5}s"]);
         assert_eq!(octets(&[1, 0, 4, 0x17]), "01 00 04 17");
         assert_eq!((octets(&[]), text(&[])), (String::new(), String::new()));
         assert_eq!(parse_octets("01 A0fF"), Some(vec![1, 0xA0, 0xFF]));
