@@ -69,6 +69,9 @@ pub struct KollmorgenDrive {
     pub accept_no_watchdog: bool,
     /// The mode of operation of `Home`: method 6098h, written before. `None`: as the drive is set.
     pub home_method: Option<i8>,
+    /// Its encoder is absolute: its position is that of the machine without a homing. Else it has its reference if
+    /// 1002h says so; without that object, if this master saw its homing attained.
+    pub absolute: bool,
     /// Objects that it shows besides, read by its mailbox in turns: plain counts, of the unit that is known of each.
     pub show: [Option<(Object, Type)>; MONITOR_CHANNELS],
 }
@@ -309,6 +312,7 @@ impl KollmorgenDrive {
             check_prbase: true,
             accept_no_watchdog: false,
             home_method: None,
+            absolute: false,
             show: [None; MONITOR_CHANNELS],
         };
         drive.fit();

@@ -8,12 +8,13 @@ use super::object::pdo::Layout;
 use super::object::{Object, Type};
 use super::plan::{KollmorgenDrive, Mapping, Start};
 
-/// The objects to write, in this order: cycle time, PDOs, mode, and what the plan adds.
+/// The objects to write, in this order: the cycle time of a drive that works by SYNC0, if it has objects for it (they
+/// are optional in CiA 402, and of some drives read only); PDOs, mode, and what the plan adds.
 pub fn start_up(drive: &KollmorgenDrive, period_ns: u64) -> Vec<Start> {
     let mut list = Vec::new();
-    if let Some((units, power)) = cycle_time(period_ns) {
-        list.push(Start::new(CYCLE_UNITS, Type::U8, units.into()));
-        list.push(Start::new(CYCLE_POWER, Type::I8, Type::I8.raw(power.into())));
+    if let Some((units, power)) = cycle_time(period_ns).filter(|_| drive.slave.sync) {
+        list.push(Start::if_any(CYCLE_UNITS, Type::U8, units.into()));
+        list.push(Start::if_any(CYCLE_POWER, Type::I8, Type::I8.raw(power.into())));
     }
     for (assignment, layout) in [(OUTPUT_PDO, &drive.outputs), (INPUT_PDO, &drive.inputs)] {
         select(assignment, layout, drive.mapping, &mut list);
@@ -122,6 +123,11 @@ mod tests {
         assert_eq!(written(&drive), fixed);
         drive.mapping = Mapping::AsIs;
         assert_eq!(written(&drive), format!("{cycle} {rest}"));
+        assert_eq!(start_up(&drive, 2 * MS).iter().filter(|start| start.optional).count(), 2, "the cycle");
+        // One that works when the frame passes has no use for it.
+        drive.slave.sync = false;
+        assert_eq!(written(&drive), rest);
+        drive.slave.sync = true;
         // A free one is mapped before it is selected.
         drive.mapping = Mapping::Free;
         drive.outputs.pdo = 0x1600;

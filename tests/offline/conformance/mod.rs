@@ -274,4 +274,6 @@ rows! {
     slow_mailbox: SLOW_MAILBOX,
     lost_answers: LOST_ANSWERS,
     repeat_that_is_acknowledged_only: REPEAT_ACKNOWLEDGED_ONLY,
+    cycle_time_that_is_read_only: CYCLE_TIME_READ_ONLY,
+    no_optional_objects: WITHOUT_OPTIONAL_OBJECTS,
 }

@@ -299,7 +299,7 @@ impl Bus for EthercatBus {
         let slave_of = |owner| self.segment.slave_of(owner);
         Some(Arc::new(SlaveNotes {
             notes: self.segment.notes.clone(),
-            remarks: self.segment.remarks.clone(),
+            remarks: [&self.segment.remarks, &self.segment.further].map(Clone::clone),
             drives: (0..self.drives.len()).map(Owner::Drive).filter_map(slave_of).collect(),
             devices: (0..self.devices.len()).map(Owner::Device).filter_map(slave_of).collect(),
             counters: self.devices.iter().map(|device| device.counters.clone()).collect(),

@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU8, Ordering};
 
 use crate::counters::DeviceCounters;
-use crate::segment::note::Notes as SegmentNotes;
+use crate::segment::note::{Note, Notes as SegmentNotes};
 use fieldbeat_core::bus::Notes;
 use fieldbeat_core::bus::counters::OWN_COUNTERS;
 use fieldbeat_core::net::frames::Dropped;
@@ -20,7 +20,7 @@ pub(super) const OTHER_MASTER: u8 = 3;
 #[derive(Debug)]
 pub(super) struct SlaveNotes {
     pub(super) notes: SegmentNotes,
-    pub(super) remarks: SegmentNotes,
+    pub(super) remarks: [SegmentNotes; 2],
     /// The slave of each drive, and its position.
     pub(super) drives: Vec<(usize, u16)>,
     /// The same of each device.
@@ -42,13 +42,11 @@ impl Notes for SlaveNotes {
     }
 
     fn remark(&self, index: usize) -> Option<String> {
-        let (slave, place) = *self.drives.get(index)?;
-        self.remarks.get(slave).text(place)
+        self.remarked(*self.drives.get(index)?)
     }
 
     fn device_remark(&self, index: usize) -> Option<String> {
-        let (slave, place) = *self.devices.get(index)?;
-        self.remarks.get(slave).text(place)
+        self.remarked(*self.devices.get(index)?)
     }
 
     fn device_counters(&self, index: usize) -> [u64; OWN_COUNTERS] {
@@ -61,6 +59,13 @@ impl Notes for SlaveNotes {
 }
 
 impl SlaveNotes {
+    fn remarked(&self, (slave, place): (usize, u16)) -> Option<String> {
+        match self.remarks.each_ref().map(|notes| notes.get(slave)) {
+            [Note::None, only] | [only, Note::None] => only.text(place),
+            [first, further] => Some(format!("{}; {}", first.text(place)?, further.what()?)),
+        }
+    }
+
     fn note(&self, (slave, place): (usize, u16)) -> Option<String> {
         let interface = &self.interface;
         match self.wire.load(Ordering::Relaxed) {

@@ -146,6 +146,7 @@ fn drive(table: &mut Table<'_>, machine: &mut Machine) -> KollmorgenDrive {
         -128..=127,
         "the method of homing of object 6098h; leave it out for the drive's own",
     );
+    drive.absolute = table.flag("absolute").unwrap_or(drive.absolute);
     drive.show = table
         .read("monitor", Form::False.or(Form::Text(None).list(1, MONITOR_CHANNELS)), shown)
         .unwrap_or(drive.show);

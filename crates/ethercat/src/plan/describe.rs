@@ -111,6 +111,10 @@ impl KollmorgenDrive {
                 "its increments per turn (608Fh) are not compared with prbase (check_prbase = false)".into(),
             );
         }
+        if self.absolute {
+            lines
+                .push("has its reference without a homing: its encoder is absolute (absolute = true)".into());
+        }
         lines.push(self.describe_sync(period_ns, ahead_ns));
         let shown: Vec<String> = self
             .show
@@ -182,7 +186,8 @@ impl KollmorgenDrive {
             ),
             false => format!(
                 "its cycle is the frame itself (sync = false): the lateness of the master counts against its \
-                 window of {window}: {fault}"
+                 window of {window}: {fault}; its cycle time 60C2h is not written: give it in start_up if the drive \
+                 needs it"
             ),
         }
     }

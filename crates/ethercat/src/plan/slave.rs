@@ -99,17 +99,24 @@ pub struct Start {
     pub raw: u64,
     /// The bytes of a string, all of them; of others empty.
     pub string: Vec<u8>,
+    /// A slave that does not have the object, or only lets it be read, comes up even so.
+    pub optional: bool,
 }
 
 impl Start {
     /// An object with these raw bits.
     pub const fn new(object: Object, kind: Type, raw: u64) -> Start {
-        Start { object, kind, raw, string: Vec::new() }
+        Start { object, kind, raw, string: Vec::new(), optional: false }
     }
 
     /// A string of these bytes, at most 128: a text, or any.
     pub fn string(object: Object, kind: Type, string: Vec<u8>) -> Start {
-        Start { object, kind, raw: long::raw(&string), string }
+        Start { object, kind, raw: long::raw(&string), string, optional: false }
+    }
+
+    /// An object that not every slave has: see [`optional`](Self::optional).
+    pub const fn if_any(object: Object, kind: Type, raw: u64) -> Start {
+        Start { object, kind, raw, string: Vec::new(), optional: true }
     }
 
     /// An object that is read, and not held against anything.

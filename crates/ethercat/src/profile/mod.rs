@@ -458,6 +458,12 @@ impl Profile {
         self.homes && self.mode_wanted() == desired::Mode::Homing
     }
 
+    /// How far the homing is that was sent; `None`: none was sent last.
+    #[inline]
+    pub(super) fn homing_sent(&self, homing: Homing) -> Option<Homing> {
+        self.sent.homes.then_some(homing)
+    }
+
     /// Its hardware enable was missing when it was last commanded to switch on, not long ago.
     #[inline]
     pub(super) fn is_inhibited(&self) -> bool {

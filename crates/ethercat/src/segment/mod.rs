@@ -140,6 +140,8 @@ pub struct Segment {
     pub notes: Notes,
     /// What is to be known of those that are.
     pub remarks: Notes,
+    /// The same, of the objects that they do not take.
+    pub further: Notes,
     ask: Ask,
 }
 
@@ -198,7 +200,7 @@ impl Segment {
             first..offsets.partition_point(|offsets| offsets.frame <= frame)
         };
         let ranges: Vec<_> = (0..count).map(frame).collect();
-        let (notes, remarks) = (Notes::new(slaves.len()), Notes::new(slaves.len()));
+        let [notes, remarks, further] = [(); 3].map(|()| Notes::new(slaves.len()));
         (0..slaves.len()).for_each(|index| notes.set(index, Note::Starting));
         let places = slaves.iter().map(|(_, slave)| usize::from(slave.place) + 1).max().unwrap_or(0);
         let slaves = Slaves::new(slaves.into_iter().zip(offsets).map(slave));
@@ -209,6 +211,7 @@ impl Segment {
             clock: SegmentClock::new(period_ns, plan.ahead_of_sync_ns.unwrap_or(period_ns / 2)),
             notes,
             remarks,
+            further,
             topology: Topology::new(places),
             ..Segment::default()
         }
@@ -221,6 +224,7 @@ impl Segment {
         self.topology.memory(regions);
         self.notes.memory(regions);
         self.remarks.memory(regions);
+        self.further.memory(regions);
     }
 
     /// All slaves are in operation, and their outputs reach them.

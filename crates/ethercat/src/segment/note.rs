@@ -108,6 +108,13 @@ pub enum Note {
         /// The abort code.
         abort: AbortCode,
     },
+    /// It does not have an object that is written where it is, or does not let it be written.
+    Omitted {
+        /// The object.
+        object: Object,
+        /// The abort code.
+        abort: AbortCode,
+    },
     /// Its watchdog does not read back as set.
     Watchdog,
     /// This one of its SyncManagers does not read back as set.
@@ -199,6 +206,7 @@ impl Note {
             Note::Slow { to, within_ms } => number(0x87, to.number().into(), within_ms),
             Note::StartUp { object, abort } => number(0x88, object.key(), abort.0),
             Note::OwnValue { object, abort } => number(0x94, object.key(), abort.0),
+            Note::Omitted { object, abort } => number(0x95, object.key(), abort.0),
             Note::WaitsForLock(error) => {
                 number(0x89, u32::from(error.is_some()), error.unwrap_or_default().cast_unsigned())
             }
@@ -241,6 +249,7 @@ impl Note {
             0x87 => Note::Slow { to: state(), within_ms: low },
             0x88 => Note::StartUp { object: object(), abort: AbortCode(low) },
             0x94 => Note::OwnValue { object: object(), abort: AbortCode(low) },
+            0x95 => Note::Omitted { object: object(), abort: AbortCode(low) },
             0x89 => Note::WaitsForLock((high != 0).then_some(low.cast_signed())),
             0x8a => Note::Differs { object: object(), found: low },
             0x8b => Note::Unanswered {
@@ -257,7 +266,12 @@ impl Note {
 
     /// In words, for the slave at this position; `None`: there is nothing to report.
     pub fn text(self, place: u16) -> Option<String> {
-        let what = match self {
+        Some(format!("place {place}: {}", self.what()?))
+    }
+
+    /// The same without its position.
+    pub fn what(self) -> Option<String> {
+        Some(match self {
             Note::None => return None,
             Note::Absent => "nothing answers there: look at its power and at the cable in front of it".into(),
             Note::Unreachable(counted) => format!(
@@ -358,6 +372,17 @@ impl Note {
                 abort.0,
                 abort.name().unwrap_or("not known")
             ),
+            Note::Omitted { object: Object { index: 0x60C2, sub }, abort } => format!(
+                "it does not take the cycle time (0x60c2:{sub}): abort code {:#010x} ({}); it has to find its \
+                 cycle by SYNC0, or by a parameter of its own: compare that with period",
+                abort.0,
+                abort.name().unwrap_or("not known")
+            ),
+            Note::Omitted { object: Object { index, sub }, abort } => format!(
+                "it does not take {index:#06x}:{sub}, and works without: abort code {:#010x} ({})",
+                abort.0,
+                abort.name().unwrap_or("not known")
+            ),
             Note::Watchdog => "its watchdog does not read back as set".into(),
             Note::Manager(number) => {
                 format!("its SyncManager {number} does not read back as set: correct its outputs and inputs")
@@ -419,8 +444,7 @@ impl Note {
                 "the slave at place {other} runs on a clock that another master has set, and would lose it: \
                  stop that slave, or switch it off"
             ),
-        };
-        Some(format!("place {place}: {what}"))
+        })
     }
 }
 
@@ -485,6 +509,8 @@ mod tests {
             Note::Slow { to: AlState::Op, within_ms: 10_000 },
             Note::StartUp { object: Object::new(0x1C12, 1), abort: AbortCode(0x0602_0000) },
             Note::StartUp { object: Object::new(0x6060, 0), abort: AbortCode(object::FULL) },
+            Note::Omitted { object: Object::new(0x60C2, 2), abort: AbortCode(0x0601_0002) },
+            Note::Omitted { object: Object::new(0xFFFF, 255), abort: AbortCode(u32::MAX) },
             Note::Watchdog,
             Note::Manager(3),
             Note::Unarmed,

@@ -184,6 +184,7 @@ impl Segment {
         let (happened, running) = slave.receive(&context, answers);
         self.notes.set(index, slave.note());
         self.remarks.set(index, slave.remark);
+        self.further.set(index, slave.further);
         if let Some(running) = running {
             self.take_time(index, &back.sent, &running);
         }

@@ -27,6 +27,7 @@ use fieldbeat_core::axis::acyclic::{self, AcyclicEnds};
 use fieldbeat_core::axis::units::Unwrap;
 use fieldbeat_core::axis::{self, State, Units};
 use fieldbeat_core::bus::cia402::StatusWord;
+use fieldbeat_core::bus::desired::Homing;
 use fieldbeat_core::bus::{Exchange, Slot};
 use fieldbeat_core::inputs::InputLog;
 use fieldbeat_core::rt::Regions;
@@ -362,6 +363,9 @@ impl Station {
         let inputs = &self.seen.inputs;
         self.profile.look(inputs);
         self.profile.prove(inputs, self.requests.mode(), evidence);
+        if let Some(homing) = self.profile.homing_sent(evidence.homing) {
+            self.requests.attained = homing == Homing::Attained;
+        }
         evidence.reference = self.requests.reference();
         // Its own mode may have come back with this report.
         let homing = self.profile.is_homing();

@@ -50,8 +50,12 @@ pub struct Requests {
     /// The method was written for this homing.
     method_written: bool,
     display_read: bool,
+    /// Its encoder is absolute: it always has its reference.
+    absolute: bool,
     /// Whether it is homed; `None`: not known.
     pub homed: Option<bool>,
+    /// The last homing was attained, by bit 12 of its status word: what counts for a drive without 1002h.
+    pub(super) attained: bool,
     /// It does not report that.
     unreferred: bool,
     /// The SDO under way began too early.
@@ -75,6 +79,8 @@ impl Requests {
             carried: drive.mode().filter(|_| is_carried),
             method: drive.home_method,
             show: drive.show,
+            absolute: drive.absolute,
+            homed: drive.absolute.then_some(true),
             ..Requests::default()
         }
     }
@@ -82,9 +88,9 @@ impl Requests {
     /// The drive is another one than before, or may be: everything known of it is read again. The end of the present
     /// SDO is nobody's any more.
     pub(super) fn forget(&mut self) {
-        let Requests { own, method, show, .. } = *self;
-        let carried = self.carried.and(own);
-        *self = Requests { own, carried, method, show, ..Requests::default() };
+        let Requests { own, method, show, absolute, .. } = *self;
+        let (carried, homed) = (self.carried.and(own), absolute.then_some(true));
+        *self = Requests { own, carried, method, show, absolute, homed, ..Requests::default() };
         self.show_again(Time(0));
     }
 
@@ -112,6 +118,9 @@ impl Requests {
 
     /// Its reference may have changed.
     pub(super) fn request_reference(&mut self) {
+        if self.absolute {
+            return;
+        }
         (self.homed, self.content) = (None, None);
         self.outdated |= self.pending == Some(Pending::Reference);
     }
@@ -284,10 +293,10 @@ impl Requests {
                     self.not_before = now + SHOW_EVERY_NS;
                 }
             }
-            // A reference that it does not report is not set.
+            // A drive without 1002h has the reference that was seen to be set.
             (Pending::Reference, end) => {
                 self.unreferred = end.is_err();
-                self.homed = Some(end.is_ok_and(|raw| raw & REFERENCE != 0));
+                self.homed = Some(end.map_or(self.attained, |raw| raw & REFERENCE != 0));
             }
             (Pending::Shown(channel), end) => self.take_value(now, channel, end),
         }

@@ -262,6 +262,8 @@ impl AbortCode {
     pub const TIMED_OUT: AbortCode = AbortCode(0x0504_0000);
     /// An unknown command.
     pub const COMMAND: AbortCode = AbortCode(0x0504_0001);
+    /// This access to the object is not supported.
+    pub const ACCESS: AbortCode = AbortCode(0x0601_0000);
     /// The object can only be read.
     pub const READ_ONLY: AbortCode = AbortCode(0x0601_0002);
     /// Complete access is not supported.
@@ -278,6 +280,11 @@ impl AbortCode {
     pub const GENERAL: AbortCode = AbortCode(0x0800_0000);
     /// Not in this state.
     pub const STATE: AbortCode = AbortCode(0x0800_0022);
+
+    /// A write is refused since the object is not there, or can only be read: whatever the value, and for good.
+    pub const fn is_of_optional(self) -> bool {
+        matches!(self, AbortCode::NO_OBJECT | AbortCode::NO_SUB | AbortCode::READ_ONLY | AbortCode::ACCESS)
+    }
 
     /// Its meaning; `None`: an unknown one.
     pub const fn name(self) -> Option<&'static str> {

@@ -16,6 +16,8 @@ use fieldbeat_keys::form::Form;
 use fieldbeat_keys::table::{Table, number};
 use fieldbeat_keys::value::SOMETHING;
 
+/// The most objects that one of its lists names.
+const INDICES_MAX: usize = 32;
 /// What `home_turns` must be.
 const HOME: &str = "must be turns of the motor from its position at power-on, -1000 ... 1000, or \"none\"";
 
@@ -120,6 +122,8 @@ fn drive(table: &mut Table<'_>, drive: &KollmorgenDrive) -> DriveSettings {
                 }
             })
             .unwrap_or(default.home_turns),
+        without: indices(table, "without"),
+        read_only: indices(table, "read_only"),
         interrupts_to_sync: table
             .integer("sync_after", 1..=1_000_000, "cycles inside of the window until it is synchronous")
             .unwrap_or(default.interrupts_to_sync),
@@ -127,6 +131,11 @@ fn drive(table: &mut Table<'_>, drive: &KollmorgenDrive) -> DriveSettings {
         motor: motor(table, default.motor.clone()),
         ..default
     }
+}
+
+/// Objects by their index.
+fn indices(table: &mut Table<'_>, key: &'static str) -> Vec<u16> {
+    table.integers(key, INDICES_MAX, u16::MAX)
 }
 
 fn motor(table: &mut Table<'_>, mut motor: MotorSettings) -> MotorSettings {

@@ -33,7 +33,7 @@ use super::mailbox::Mailbox;
 use super::mapping::Mapping;
 use super::objects::Objects;
 use super::settings::DriveSettings;
-use super::sync::{QUANTUM_NS, Sync};
+use super::sync::{QUANTA_MAX, QUANTUM_NS, Sync};
 use crate::Truth;
 use crate::physics::PlantPlan;
 use crate::power::{Aim, PowerDrive, PowerPlan, RPM, Reset, set_bits};
@@ -50,8 +50,6 @@ use fieldbeat_ethercat::wire::registers::{AlCode, AlState};
 
 /// Bandwidth of the position controller, Hz.
 const BANDWIDTH_HZ: f64 = 60.0;
-/// The most counts of 250 us of a cycle: PTBASE (EtherCAT manual).
-const QUANTA_MAX: u64 = 127;
 /// Within this of its setpoint a speed is reached, rad/s, and a position, rad (assumed).
 const REACHED: (f64, f64) = (5.0 * RPM, TAU / 1e3);
 /// rpm of one count of 2070h:2 (CAN manual).
@@ -148,7 +146,7 @@ impl Drive {
         self.objects.set(setpoint, count);
         let word = ControlCommand::EnableOperation.word();
         self.objects.set(CONTROL_WORD, word.0.into());
-        self.sync.start(self.cycle_ns);
+        self.start_sync();
         (self.al, self.state, self.control) = (AlState::Op, State::OperationEnabled, Some(word));
         if mode == Mode::PROFILE_POSITION {
             let (up, down) = (self.ramp(ACCELERATION), self.ramp(DECELERATION));
@@ -161,6 +159,14 @@ impl Drive {
     /// The configured cycle of the bus; `None`: the objects have no valid value.
     pub(super) fn cycle_ns(&self) -> Option<u64> {
         self.cycle_ns
+    }
+
+    /// Cyclic interrupts come from now on. Without objects for its cycle it finds that by them.
+    fn start_sync(&mut self) {
+        match self.objects.is_settable(CYCLE_UNITS) && self.objects.is_settable(CYCLE_POWER) {
+            true => self.sync.start(self.cycle_ns),
+            false => self.sync.measure(),
+        }
     }
 
     fn set_up(&mut self) {
@@ -239,7 +245,7 @@ impl Drive {
             AlState::SafeOp if left == AlState::PreOp => {
                 // Clears warnings and faults that are not fatal (EtherCAT manual).
                 self.clear_fault();
-                self.sync.start(self.cycle_ns);
+                self.start_sync();
             }
             AlState::SafeOp => {}
             AlState::Op => self.control = None,
@@ -430,8 +436,11 @@ impl Application for Drive {
     /// Without power on its motor; unless it is running.
     fn left_in(&mut self, state: AlState) {
         if self.al != state {
-            self.sync.start(self.cycle_ns.filter(|_| state >= AlState::SafeOp));
             self.al = state;
+            match self.is_cyclic() {
+                true => self.start_sync(),
+                false => self.sync.start(None),
+            }
         }
     }
 

@@ -39,6 +39,8 @@ pub(super) struct Objects {
     /// The contents of its fixed PDOs, read only: each is an object with its own number (ETG.1000.6, 5.6.7.4).
     /// Masters read them to learn sizes.
     fixed: Vec<(Object, Vec<u8>)>,
+    /// These can only be read, by their index.
+    read_only: Vec<u16>,
 }
 
 impl Objects {
@@ -51,9 +53,11 @@ impl Objects {
         };
         let rows = catalogue::all()
             .filter(has)
+            .filter(|known| !settings.without.contains(&known.object.index))
             .map(|known| Row { key: known.object.key(), known, value: 0 })
             .collect();
-        let mut objects = Objects { rows, fixed: settings.layouts.iter().flat_map(mapping).collect() };
+        let fixed = settings.layouts.iter().flat_map(mapping).collect();
+        let mut objects = Objects { rows, fixed, read_only: settings.read_only.clone() };
         settings.delivered().into_iter().for_each(|(object, value)| objects.set(object, value));
         objects
     }
@@ -70,6 +74,11 @@ impl Objects {
     /// It exists.
     pub(super) fn has(&self, object: Object) -> bool {
         self.find(object).is_some()
+    }
+
+    /// It exists, and may be written in some state.
+    pub(super) fn is_settable(&self, object: Object) -> bool {
+        self.has(object) && !self.read_only.contains(&object.index)
     }
 
     /// Sets a value that was checked, or that is the drive's own. Bits beyond its type are cut off.
@@ -135,6 +144,7 @@ impl Objects {
         }
         let known = self.known(object)?;
         match known.access {
+            _ if self.read_only.contains(&object.index) => return Err(AbortCode::READ_ONLY),
             Access::ReadOnly => return Err(AbortCode::READ_ONLY),
             Access::PreOp if state != AlState::PreOp => return Err(AbortCode::STATE),
             Access::PreOp | Access::ReadWrite => {}

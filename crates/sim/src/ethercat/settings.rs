@@ -61,6 +61,10 @@ pub struct DriveSettings {
     pub home_turns: Option<f64>,
     /// Cyclic interrupts inside the window, one after the other, until the drive is synchronous. Default 100.
     pub interrupts_to_sync: u32,
+    /// Objects of its family that it does not have, by their index. Default: none.
+    pub without: Vec<u16>,
+    /// Objects that it does not let be written, by their index. Default: none but those of its family.
+    pub read_only: Vec<u16>,
     /// It changes its mode so long after 6060h, and shows it from then on, ns. Default 0.
     pub mode_delay_ns: u64,
     /// It comes up in OP and in operation, turning at so many rpm, as if another master had died with its watchdog
@@ -108,6 +112,8 @@ impl DriveSettings {
             stop_rpm_s: 50_000.0,
             home_turns: Some(0.5),
             interrupts_to_sync: 100,
+            without: Vec::new(),
+            read_only: Vec::new(),
             mode_delay_ns: 0,
             running_rpm: None,
             hardware_enable: true,

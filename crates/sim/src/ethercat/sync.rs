@@ -12,6 +12,8 @@ use fieldbeat_core::time::{MS, Time, US};
 
 /// Cycles are multiples of this.
 pub(super) const QUANTUM_NS: u64 = 250 * US;
+/// The most of them in a cycle: PTBASE (EtherCAT manual).
+pub(super) const QUANTA_MAX: u64 = 127;
 /// The window either way, of cycles of 1 ms and more, and of shorter ones.
 const WINDOW_NS: (u64, u64) = (320 * US, 70 * US);
 /// Outside of the window in a row: no longer synchronous.
@@ -27,6 +29,8 @@ pub(super) struct Sync {
     needed: u32,
     /// `None`: there is no valid cycle time, or no interrupts are wanted.
     cycle_ns: Option<u64>,
+    /// The cycle is found by the interrupts themselves: when the last one came.
+    measures: Option<Time>,
     /// When the next interrupt is due.
     expected: Option<Time>,
     inside: u32,
@@ -45,6 +49,11 @@ impl Sync {
     /// Interrupts come from now on, so many ns apart; `None`: none, or none that could be followed.
     pub(super) fn start(&mut self, cycle_ns: Option<u64>) {
         *self = Sync { cycle_ns, ..Sync::new(self.needed) };
+    }
+
+    /// The same with a cycle that nobody has set: as far apart as the first two interrupts are.
+    pub(super) fn measure(&mut self) {
+        *self = Sync { measures: Some(Time(0)), ..Sync::new(self.needed) };
     }
 
     /// The drive follows the cycle.
@@ -80,6 +89,13 @@ impl Sync {
     /// An interrupt comes. True if the drive is no longer synchronous.
     #[must_use]
     pub(super) fn interrupt(&mut self, now: Time) -> bool {
+        if self.cycle_ns.is_none()
+            && let Some(last) = self.measures
+        {
+            self.measures = Some(now);
+            let quanta = (now.since(last) + QUANTUM_NS / 2) / QUANTUM_NS;
+            self.cycle_ns = (1..=QUANTA_MAX).contains(&quanta).then_some(quanta * QUANTUM_NS);
+        }
         let Some(cycle_ns) = self.cycle_ns else { return false };
         if self.pass(now) {
             return true;
@@ -118,6 +134,7 @@ impl Sync {
         }
         let was = self.synchronous;
         (self.synchronous, self.expected, self.outside, self.owed) = (false, None, 0, false);
+        self.cycle_ns = self.cycle_ns.filter(|_| self.measures.is_none());
         was
     }
 }

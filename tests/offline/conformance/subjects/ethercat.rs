@@ -113,18 +113,19 @@ impl EtherCat {
             if drive.jog || drive.follow { Watchdog::After(100 * MS) } else { Watchdog::Off };
         let mut slave = self.slaves.usual();
         let (last, running) = (index == 0, drive.running);
-        (self.slaves.fit)(&mut Fitted { plan: &mut plan, slave: &mut slave, last, running });
-        let raw = (HOMING_RPM / plan.scaling.rpm_per_count).round() as u64;
-        plan.slave.start_up.push(Start::new(Object::new(0x6099, 1), Type::U32, raw));
-        // In increments it is the same for all units.
-        let turns = drive.axis.units.counts_per_unit.abs() / increments();
-        plan.axis.stop.standstill = STANDSTILL / turns;
-        let settings = DriveSettings {
+        let mut settings = DriveSettings {
             position: (drive.start * drive.axis.units.counts_per_unit).round() as i32,
             ramps_rpm_s: (40_000, 40_000),
             running_rpm: drive.running.then_some(60.0 * VELOCITY),
             ..DriveSettings::new(Family::S700)
         };
+        let (of_slave, of_drive) = (&mut slave, &mut settings);
+        (self.slaves.fit)(&mut Fitted { plan: &mut plan, slave: of_slave, drive: of_drive, last, running });
+        let raw = (HOMING_RPM / plan.scaling.rpm_per_count).round() as u64;
+        plan.slave.start_up.push(Start::new(Object::new(0x6099, 1), Type::U32, raw));
+        // In increments it is the same for all units.
+        let turns = drive.axis.units.counts_per_unit.abs() / increments();
+        plan.axis.stop.standstill = STANDSTILL / turns;
         (plan, settings, slave)
     }
 

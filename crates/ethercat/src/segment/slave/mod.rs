@@ -222,6 +222,10 @@ pub struct Slave {
     note: Note,
     /// What is to be known of it although it is in operation.
     pub remark: Note,
+    /// The object that it was found not to take in PREOP.
+    omitted: Note,
+    /// The same, to be known once it is in operation.
+    pub further: Note,
     /// Why it was refused last.
     refused: Note,
     /// How often that was, in a row.
@@ -283,6 +287,8 @@ impl Slave {
             factor: 1,
             note: Note::Starting,
             remark: Note::None,
+            omitted: Note::None,
+            further: Note::None,
             refused: Note::None,
             refusals: 0,
             moved_at: Time(0),

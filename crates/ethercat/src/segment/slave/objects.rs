@@ -48,6 +48,9 @@ impl Slave {
             return self.all_objects(now, list);
         };
         if !begun {
+            if (list, next) == (List::Write, 0) {
+                self.omitted = Note::None;
+            }
             // An earlier request of another user is of no use any more.
             let _ = service.take_end();
             if service.is_free() {
@@ -97,6 +100,10 @@ impl Slave {
                 self.step = Step::Objects { list, next: next + 1, begun: false };
             }
             Ok(_) => self.step = Step::Objects { list, next: next + 1, begun: false },
+            Err(SdoFailure::Abort(abort)) if start.optional && abort.is_of_optional() => {
+                self.omitted = Note::Omitted { object, abort };
+                self.step = Step::Objects { list, next: next + 1, begun: false };
+            }
             Err(_) if self.way.joined || matches!(list, List::Power | List::Found | List::Mode) => {
                 self.not_joinable(now);
             }

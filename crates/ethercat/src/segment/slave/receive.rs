@@ -210,6 +210,7 @@ impl Slave {
                     Note::Intruded => Note::Intruded,
                     _ => self.unarmed(),
                 };
+                self.further = self.omitted;
                 let settles = self.plan.sync;
                 self.enter(now, if settles { Step::Settle { good: 0, next: now } } else { Step::Lock });
             }

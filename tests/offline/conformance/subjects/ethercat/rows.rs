@@ -5,7 +5,7 @@
 use std::any::Any;
 use std::ops::Range;
 
-use fieldbeat::axis::Link;
+use fieldbeat::axis::{Command, Link};
 use fieldbeat::bus::ethercat::{Area, Terminals};
 use fieldbeat::sim::ethercat::{ClockKind, EthercatSim, MailboxSettings, Misuse, Model, SiiContent};
 use fieldbeat::sim::{FaultPlan, SimSegment};
@@ -334,6 +334,46 @@ pub const REPEAT_ACKNOWLEDGED_ONLY: Row = Row {
         assert!(repeats.iter().all(|repeats| *repeats > 2), "{repeats:?}");
         m.faults(0, FaultPlan::default());
         assert!((0..2).all(|index| m.feedback(index).link == Link::Online), "neither was set up anew");
+    },
+    ..USUAL
+};
+
+/// The cycle time, 60C2h, can only be read: they find their cycle by SYNC0.
+pub const CYCLE_TIME_READ_ONLY: Row = Row {
+    slaves: Slaves { fit: |of| of.drive.read_only = vec![0x60C2], ..USUAL.slaves },
+    met: |m| {
+        let remarks = m.sim.remarks();
+        let named = |remark: &&String| remark.contains("it does not take the cycle time (0x60c2:2)");
+        assert_eq!(remarks.iter().filter(named).count(), 2, "{remarks:?}");
+    },
+    ..USUAL
+};
+
+/// Drives of another maker, without 60C2h and 1002h: one has its reference once its homing was attained, the other one
+/// by its encoder. The clauses home the first one.
+pub const WITHOUT_OPTIONAL_OBJECTS: Row = Row {
+    slaves: Slaves {
+        fit: |of| {
+            of.drive.without = vec![0x60C2, 0x1002];
+            of.plan.absolute = !of.last;
+        },
+        ..USUAL.slaves
+    },
+    met: |m| {
+        let remarks = m.sim.remarks();
+        assert_eq!(
+            remarks.iter().filter(|remark| remark.contains("no such object")).count(),
+            2,
+            "{remarks:?}"
+        );
+        assert_eq!([0, 1].map(|index| m.feedback(index).status.homed), [false, true]);
+        m.done(0, Command::Home);
+        m.run(500);
+        assert!(m.feedback(0).status.homed, "its positions are limited from now on");
+        m.restart(0);
+        m.run(20);
+        m.ready();
+        assert!(!m.feedback(0).status.homed && m.feedback(1).status.homed);
     },
     ..USUAL
 };

@@ -3,7 +3,8 @@
 
 use fieldbeat::bus::ethercat::{Area, Device, KollmorgenDrive, SlavePlan, Watchdog};
 use fieldbeat::sim::ethercat::{
-    Behind, ClockKind, Coupler, EthercatSegment, MailboxSettings, Model, SiiSettings, SlaveSettings,
+    Behind, ClockKind, Coupler, DriveSettings, EthercatSegment, MailboxSettings, Model, SiiSettings,
+    SlaveSettings,
 };
 use fieldbeat::time::{MS, US};
 
@@ -38,10 +39,11 @@ pub struct Front {
     pub fit: fn(&mut SlaveSettings),
 }
 
-/// A drive: its plan, and its slave.
+/// A drive: its plan, its slave, and its firmware.
 pub struct Fitted<'a> {
     pub plan: &'a mut KollmorgenDrive,
     pub slave: &'a mut SlaveSettings,
+    pub drive: &'a mut DriveSettings,
     /// It is the last one of the segment.
     pub last: bool,
     /// It is found running.
