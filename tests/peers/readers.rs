@@ -92,27 +92,27 @@ fn the_parsers_of_prometheus_read_the_metrics() {
     let run = ["run", config.to_str().unwrap(), "--metrics", &endpoint];
     let mut program = Program::start(run);
     program.await_text("all drives online");
-    let mut answer = String::new();
-    let shows = || {
+    let page = |accepted: &str| {
         let mut stream = TcpStream::connect(&endpoint).unwrap();
-        write!(stream, "GET /metrics HTTP/1.1\r\nHost: {endpoint}\r\n\r\n").unwrap();
-        answer.clear();
+        let request = format!("GET /metrics HTTP/1.1\r\nHost: {endpoint}\r\nAccept: {accepted}\r\n\r\n");
+        stream.write_all(request.as_bytes()).unwrap();
+        let mut answer = String::new();
         stream.read_to_string(&mut answer).unwrap();
-        answer.contains("drive-timer")
+        answer.split_once("\r\n\r\n").map(|(_, page)| page.to_owned()).unwrap()
     };
-    assert!(until(LONG, shows), "{answer}");
+    assert!(until(LONG, || page("*/*").contains("drive-timer")), "{}", page("*/*"));
+    let (strict, plain) = (page("application/openmetrics-text"), page("text/plain"));
     program.signal(SIGINT);
     program.end().expect(0);
-    let (_, page) = answer.split_once("\r\n\r\n").unwrap();
     // The strict one of OpenMetrics, and that of the older format, which many agents still speak.
     let script = "import sys\nfrom prometheus_client.openmetrics import parser as strict\nfrom \
-         prometheus_client import parser as old\npage = sys.stdin.read()\nfor family in \
-         strict.text_string_to_metric_families(page):\n\x20   for sample in family.samples: \
+         prometheus_client import parser as old\npage, plain = sys.stdin.read().split('# BEHIND\\n')\nfor \
+         family in strict.text_string_to_metric_families(page):\n\x20   for sample in family.samples: \
          print(sample.name, sample.labels.get('drive', '-'), family.type)\nfor family in \
-         old.text_string_to_metric_families(page):\n\x20   for sample in family.samples: print('old', \
-         sample.name)\n";
+         old.text_string_to_metric_families(plain):\n\x20   for sample in family.samples: print('old', \
+         sample.name, family.type)\n";
     let python = checkout("target/peers/python/bin/python3");
-    let reported = tell(Command::new(python).args(["-c", script]), page);
+    let reported = tell(Command::new(python).args(["-c", script]), &format!("{strict}# BEHIND\n{plain}"));
     for line in [
         "fieldbeat_cycles_executed_total - counter",
         "fieldbeat_wake_up_seconds_bucket - histogram",
@@ -121,8 +121,9 @@ fn the_parsers_of_prometheus_read_the_metrics() {
         "fieldbeat_loop_info - info",
         "fieldbeat_drive_monitor d1 gauge",
         "fieldbeat_drive_monitor_max d1 gauge",
-        "old fieldbeat_drive_requests_sent_total",
-        "old fieldbeat_stage_seconds_bucket",
+        "old fieldbeat_drive_requests_sent_total counter",
+        "old fieldbeat_stage_seconds_bucket histogram",
+        "old fieldbeat_loop_info gauge",
     ] {
         assert!(reported.lines().any(|reported| reported == line), "no \"{line}\": {reported}");
     }

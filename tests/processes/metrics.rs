@@ -37,10 +37,16 @@ fn ask(address: SocketAddr, request: &[u8]) -> String {
 
 /// The page.
 pub fn scrape(address: SocketAddr) -> String {
-    let answer = ask(address, b"GET /metrics HTTP/1.1\r\nHost: localhost\r\nAccept: */*\r\n\r\n");
+    page_as(address, "application/openmetrics-text", "application/openmetrics-text; version=1.0.0;")
+}
+
+/// The page of this type, for a client that accepts this.
+fn page_as(address: SocketAddr, accepts: &str, kind: &str) -> String {
+    let request = format!("GET /metrics HTTP/1.1\r\nHost: localhost\r\nAccept: {accepts}\r\n\r\n");
+    let answer = ask(address, request.as_bytes());
     let (head, body) = answer.split_once("\r\n\r\n").unwrap_or_else(|| panic!("no answer: {answer}"));
     assert!(head.starts_with("HTTP/1.1 200 OK\r\n"), "{head}");
-    assert!(head.contains("\r\nContent-Type: application/openmetrics-text; version=1.0.0;"), "{head}");
+    assert!(head.contains(&format!("\r\nContent-Type: {kind}")), "{head}");
     assert!(head.contains(&format!("\r\nContent-Length: {}\r\n", body.len())), "{head}");
     body.to_owned()
 }
@@ -100,6 +106,8 @@ fn a_scrape_tells_what_the_summary_tells_later() {
     assert_eq!(address.ip(), machine.ip(1));
     assert!(!program.err().contains("anyone on that network"), "{}", program.err());
     let first = Page::parse(&scrape(address));
+    let plain = page_as(address, "*/*", "text/plain; version=0.0.4;");
+    assert!(plain.contains("# TYPE fieldbeat_cycles_executed_total counter\n"), "{plain}");
     let mut second = Page::default();
     let passed = until(LONG, || {
         second = Page::parse(&scrape(address));

@@ -5,10 +5,12 @@
 //! | `mod` | the endpoint: a listener, and a thread that answers one request a connection |
 //! | `host` | for whom a request was meant |
 //! | `page` | what it answers |
+//! | `form` | in which of its two forms |
 //!
 //! The thread is a normal one, off the loop's core, and waits for no client: `Clients` bounds their number, bytes and
 //! time. A client that is slow, or says nothing, delays nobody.
 
+mod form;
 pub mod host;
 mod page;
 
@@ -22,6 +24,7 @@ use std::time::Duration;
 
 use thiserror::Error;
 
+use self::form::Form;
 use self::host::{Meant, Names};
 use fieldbeat_core::errors::no_descriptor;
 use fieldbeat_core::net::clients::Clients;
@@ -39,9 +42,6 @@ const MOST_BYTES: usize = 4096;
 
 /// Header lines of a request.
 const MOST_HEADERS: usize = 64;
-
-/// What the library writes is OpenMetrics, which Prometheus requests first.
-const CONTENT_TYPE: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
 
 /// Why there is no endpoint. The message ends with the remedy.
 #[derive(Error)]
@@ -199,13 +199,15 @@ impl Shared {
 
 /// The whole answer.
 fn answer(request: &Requested, page: &dyn Fn() -> String) -> Vec<u8> {
-    let (status, body) = match request {
-        Requested::Page => ("200 OK", page()),
-        Requested::Head => ("200 OK", String::new()),
-        Requested::Refused(status) => (*status, format!("{status}; the metrics are at GET /metrics\n")),
-        Requested::Misdirected => (FORBIDDEN, format!("{FORBIDDEN}; {REMEDY}\n")),
+    const PLAIN: &str = "text/plain; charset=utf-8";
+    let (status, kind, body) = match request {
+        Requested::Page(form) => ("200 OK", form.content_type(), form.of(page())),
+        Requested::Head(form) => ("200 OK", form.content_type(), String::new()),
+        Requested::Refused(status) => {
+            (*status, PLAIN, format!("{status}; the metrics are at GET /metrics\n"))
+        }
+        Requested::Misdirected => (FORBIDDEN, PLAIN, format!("{FORBIDDEN}; {REMEDY}\n")),
     };
-    let kind = if status.starts_with("200") { CONTENT_TYPE } else { "text/plain; charset=utf-8" };
     let length = body.len();
     let head = format!(
         "HTTP/1.1 {status}\r\nContent-Type: {kind}\r\nContent-Length: {length}\r\nConnection: close\r\n\r\n"
@@ -222,9 +224,9 @@ const REMEDY: &str = "the Host of the request is no name of this endpoint: use i
 /// What is requested.
 #[derive(Debug, PartialEq)]
 enum Requested {
-    Page,
+    Page(Form),
     /// Whether there is one.
-    Head,
+    Head(Form),
     Refused(&'static str),
     /// It was meant for another host: a page from elsewhere whose name was bound to this address (DNS rebinding).
     Misdirected,
@@ -243,6 +245,8 @@ fn requested(bytes: &[u8], is_ours: &dyn Fn(Meant<'_>) -> bool) -> Option<Reques
         Err(_) => return Some(Requested::Refused("400 Bad Request")),
     }
     let mut hosts = request.headers.iter().filter(|header| header.name.eq_ignore_ascii_case("host"));
+    let accepted = request.headers.iter().filter(|header| header.name.eq_ignore_ascii_case("accept"));
+    let form = Form::of_accepted(accepted.map(|header| header.value));
     let path = request.path.unwrap_or_default().split('?').next();
     Some(match (hosts.next(), hosts.next()) {
         // RFC 9112, 3.2: exactly one, but HTTP/1.0 has none.
@@ -251,8 +255,8 @@ fn requested(bytes: &[u8], is_ours: &dyn Fn(Meant<'_>) -> bool) -> Option<Reques
         (Some(host), None) if !Meant::parse(host.value).is_some_and(is_ours) => Requested::Misdirected,
         _ => match request.method {
             _ if path != Some("/metrics") => Requested::Refused("404 Not Found"),
-            Some("GET") => Requested::Page,
-            Some("HEAD") => Requested::Head,
+            Some("GET") => Requested::Page(form),
+            Some("HEAD") => Requested::Head(form),
             _ => Requested::Refused("405 Method Not Allowed"),
         },
     })
@@ -291,9 +295,11 @@ mod tests {
         for end in 0..get.len() {
             assert_eq!(judged(&get[..end]), None, "{end}");
         }
-        assert_eq!(judged(get), Some(Requested::Page));
-        assert_eq!(judged(b"GET /metrics?x=1 HTTP/1.0\r\n\r\n"), Some(Requested::Page));
-        assert_eq!(judged(b"HEAD /metrics HTTP/1.1\r\nhost:x:1\r\n\r\n"), Some(Requested::Head));
+        assert_eq!(judged(get), Some(Requested::Page(Form::Text)));
+        assert_eq!(judged(b"GET /metrics?x=1 HTTP/1.0\r\n\r\n"), Some(Requested::Page(Form::Text)));
+        assert_eq!(judged(b"HEAD /metrics HTTP/1.1\r\nhost:x:1\r\n\r\n"), Some(Requested::Head(Form::Text)));
+        let wanted = b"GET /metrics HTTP/1.1\r\nHost: x\r\naccept: application/openmetrics-text\r\n\r\n";
+        assert_eq!(judged(wanted), Some(Requested::Page(Form::OpenMetrics)));
         let refused = |bytes: &[u8]| match judged(bytes) {
             Some(Requested::Refused(status)) => status[..3].to_owned(),
             other => panic!("{other:?}"),
@@ -348,7 +354,7 @@ mod tests {
     #[test]
     fn a_request_in_pieces_is_answered_once() {
         let (text, _) = exchange(
-            || String::from("# EOF\n"),
+            || String::from("# UNIT x seconds\nx 1\n# EOF\n"),
             |stream| {
                 for piece in [&b"GET /met"[..], b"rics HTTP/1.1\r\nHost", b": localhost\r\n\r\n"] {
                     stream.write_all(piece).unwrap();
@@ -356,8 +362,8 @@ mod tests {
                 }
             },
         );
-        assert!(text.starts_with("HTTP/1.1 200 OK\r\n") && text.ends_with("\r\n\r\n# EOF\n"), "{text}");
-        assert!(text.contains("Content-Length: 6\r\n"), "{text}");
+        assert!(text.starts_with("HTTP/1.1 200 OK\r\n") && text.ends_with("\r\n\r\nx 1\n"), "{text}");
+        assert!(text.contains("Content-Length: 4\r\n"), "{text}");
     }
 
     #[test]
