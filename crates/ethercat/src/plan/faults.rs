@@ -385,7 +385,14 @@ impl KollmorgenDrive {
         };
         let target = match mode {
             _ if !is_known => {
-                return wrong(format!("is not a mode of this drive that the master drives; it drives {has}"));
+                // Drives of CiA 402 of others are described as an AKD.
+                let hint = match self.family {
+                    Family::S700 if mode.is_of_akd() => "; type = \"akd\" has it",
+                    _ => "",
+                };
+                return wrong(format!(
+                    "is not a mode of this drive that the master drives; it drives {has}{hint}"
+                ));
             }
             _ if self.native || self.setpoint().is_some() => return None,
             Mode::PROFILE_POSITION => {
