@@ -19,6 +19,18 @@ pub(super) struct Wanted {
     pub word: u32,
     /// It replaces what is held and weaker, behind one idle packet.
     pub urgency: Urgency,
+    /// How often it was sent without an effect: each time idle is held twice as long before it.
+    pub repeats: u8,
+}
+
+impl Wanted {
+    /// The idle packets before it, where usually `hold` of them are.
+    fn idle(self, hold: u8) -> u8 {
+        match self.urgency.is_stop() {
+            true => 1,
+            false => u8::try_from(u32::from(hold) << self.repeats.min(8)).unwrap_or(u8::MAX),
+        }
+    }
 }
 
 /// What goes first.
@@ -90,9 +102,7 @@ impl Edges {
     /// The word of the next packet, to be sent at `now`.
     pub(super) fn prepare(&mut self, now: Time, wanted: Option<Wanted>) -> u32 {
         self.prepared = match (self.phase, wanted) {
-            (Phase::Idle { packets }, Some(wanted))
-                if packets >= if wanted.urgency.is_stop() { 1 } else { self.hold } =>
-            {
+            (Phase::Idle { packets }, Some(wanted)) if packets >= wanted.idle(self.hold) => {
                 Phase::Held { wanted, packets: 1, since: now, answers: 0 }
             }
             (Phase::Idle { packets }, _) => Phase::Idle { packets: packets.saturating_add(1) },
@@ -181,9 +191,9 @@ mod tests {
     use super::*;
     use fieldbeat_core::time::MS;
 
-    const ENABLE: Wanted = Wanted { word: 2, urgency: Urgency::None };
-    const STOP: Wanted = Wanted { word: 0x8000, urgency: Urgency::Stop };
-    const OFF: Wanted = Wanted { word: 4, urgency: Urgency::Off };
+    const ENABLE: Wanted = Wanted { word: 2, urgency: Urgency::None, repeats: 0 };
+    const STOP: Wanted = Wanted { word: 0x8000, urgency: Urgency::Stop, repeats: 0 };
+    const OFF: Wanted = Wanted { word: 4, urgency: Urgency::Off, repeats: 0 };
 
     /// Words of the next packets, one a ms, each sent.
     fn words(edges: &mut Edges, from_ms: u64, wanted: &[Option<Wanted>]) -> Vec<u32> {
@@ -205,6 +215,9 @@ mod tests {
         // Without an effect it is held until its time is over.
         let word = words(&mut Edges::new(2, 5 * MS), 0, &[Some(ENABLE); 9]);
         assert_eq!(word, [0, 0, 2, 2, 2, 2, 2, 0, 0]);
+        // Sent again, it is behind twice as many idle packets: one of them gets through.
+        let mut edges = Edges::new(2, 100 * MS);
+        assert_eq!(words(&mut edges, 0, &[Some(Wanted { repeats: 1, ..ENABLE }); 5]), [0, 0, 0, 0, 2]);
     }
 
     #[test]
@@ -274,7 +287,7 @@ mod tests {
                 let wanted = match what {
                     0 => None,
                     1 => Some(ENABLE),
-                    2 => Some(Wanted { word: 8, urgency: Urgency::None }),
+                    2 => Some(Wanted { word: 8, ..ENABLE }),
                     _ => Some(STOP),
                 };
                 let word = edges.prepare(Time(ms * MS), wanted);

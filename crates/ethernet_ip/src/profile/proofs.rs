@@ -94,7 +94,7 @@ impl Profile {
             self.is_taken = self.motion.value == Motion::Hold;
             self.motion_step = if self.is_taken { Step::Settled } else { Step::Due };
         }
-        if self.motion_step == Step::Due && self.is_repeated && !self.may_repeat(seen) {
+        if self.motion_step == Step::Due && self.repeats > 0 && !self.may_repeat(seen) {
             self.motion_step = self.not_taken();
         }
         if !seen.moves() && self.holder != Holder::Motion {

@@ -24,14 +24,17 @@ impl Profile {
     pub(super) fn wanted(&self, seen: &Seen, native: &mut NativePort) -> (Holder, Option<Wanted>) {
         let stops = |word| {
             let fast = word == command::STOP_FAST;
-            Some(Wanted { word, urgency: if fast { Urgency::FastStop } else { Urgency::Stop } })
+            let urgency = if fast { Urgency::FastStop } else { Urgency::Stop };
+            Some(Wanted { word, urgency, repeats: 0 })
         };
-        let goes = |word| Some(Wanted { word, urgency: Urgency::None });
+        let goes = |word| Some(Wanted { word, urgency: Urgency::None, repeats: 0 });
+        let moves = |word| Some(Wanted { word, urgency: Urgency::None, repeats: self.repeats });
         let is_stop = matches!(self.motion.value, Motion::Ramp { .. } | Motion::Halt);
         let is_due = self.power_step == Step::Due;
         // It replaces an enable that is under way, and waits for no stop.
         if is_due && matches!(self.power.value, Power::Off | Power::Shutdown) {
-            return (Holder::Power, Some(Wanted { word: command::DISABLE, urgency: Urgency::Off }));
+            let off = Wanted { word: command::DISABLE, urgency: Urgency::Off, repeats: 0 };
+            return (Holder::Power, Some(off));
         }
         if self.motion_step == Step::Due && is_stop {
             return (Holder::Motion, stops(self.stop_word()));
@@ -50,7 +53,7 @@ impl Profile {
         }
         match (self.motion_step, self.motion.value) {
             (Step::Clearing, _) if seen.moves() => (Holder::Clearing, stops(command::STOP)),
-            (Step::Due, motion) => (Holder::Motion, self.motion_word(motion, seen).and_then(goes)),
+            (Step::Due, motion) => (Holder::Motion, self.motion_word(motion, seen).and_then(moves)),
             (Step::Zeroing { held: false }, _) => (Holder::Motion, goes(command::HOST)),
             (Step::Settled, Motion::Native(NativeOwner::Master)) if self.refused.is_none() => {
                 let next = native.peek().filter(is_motion);

@@ -89,6 +89,21 @@ fn a_motion_whose_idle_packets_are_lost_is_sent_a_second_time() {
     }
 }
 
+/// With one idle packet before each command. A drive that acts on any change would not show it.
+#[test]
+fn no_absolute_move_fails_although_a_third_of_all_packets_is_lost() {
+    for seed in 1..=4 {
+        let mut plan = drive(0);
+        (plan.hold, plan.fresh_within_ns) = (1, Some(50 * MS));
+        let mut m = Moons::with(vec![plan], |settings| settings.firmware.edges = Edges::Strict);
+        m.ready();
+        m.sim.world().set_faults(m.io(0), FaultPlan { drop: 0.3, seed, ..FaultPlan::default() });
+        let ends = (0..50).map(|n| m.end(0, go(f64::from(n % 7) / 10.0)));
+        let failed = ends.filter(|end| *end != Some(Outcome::Done)).count();
+        assert_eq!((failed, m.feedback(0).stopped), (0, None), "seed {seed}");
+    }
+}
+
 /// The drive ends a jog at its limit switch while another speed is under way to it, or is sent for the second time.
 #[test]
 fn another_speed_never_begins_a_jog_that_the_drive_has_ended() {
