@@ -379,8 +379,8 @@ fn a_terminal_is_listed_and_left_out() {
 }
 
 #[test]
-fn moons_drives_run() {
-    starts_its_drives(253, "ethernet-ip", bind, None);
+fn moons_drives_are_found_and_run() {
+    starts_its_drives(253, "ethernet-ip", bind, Some(("yes\n", "STF10-IP at")));
 }
 
 #[test]

@@ -132,9 +132,15 @@ fn devices_are_told_as_a_table_and_as_json_and_who_does_not_answer_is_named() {
         assert_eq!(row[..2], [address.as_str(), name]);
     }
     let found = scan(&[&turret, &feeder, "--json"]).end().expect(0).json();
-    let addresses: Vec<&Value> =
-        found["devices"].as_array().unwrap().iter().map(|one| &one["address"]).collect();
-    assert_eq!(addresses, [&feeder, &turret]);
+    let addresses = |found: &Value| -> Vec<String> {
+        let all = found["devices"].as_array().unwrap().iter();
+        all.map(|one| one["address"].as_str().unwrap().to_owned()).collect()
+    };
+    assert_eq!(addresses(&found), [&*feeder, &*turret]);
+    // By a broadcast in their network.
+    let bind = machine.ip(1).to_string();
+    let found = scan(&["--bind", &bind, "--json"]).end().expect(0).json();
+    assert_eq!(addresses(&found), [&*feeder, &*turret]);
 
     let ended = scan(&[&feeder, &nobody]).end();
     assert_eq!(ended.expect(1).out.lines().count(), 2, "{}", ended.out);

@@ -133,6 +133,21 @@ impl Drives {
         self.station_at(address).map(|station| station.unit)
     }
 
+    /// This socket also takes what is sent to everybody.
+    pub(super) fn is_for_all(&self, station: &Station) -> bool {
+        let unit = &self.units[station.unit];
+        unit.drive.everybody() == Some(station.socket) && station.carrier == Carrier::Datagrams
+    }
+
+    /// A datagram to everybody came to the drive of this socket.
+    pub(super) fn receive_of_all(&mut self, station: usize, now: Time, from: SocketAddrV4, bytes: &[u8]) {
+        let unit = self.stations[station].unit;
+        if self.units[unit].plugged {
+            self.units[unit].drive.receive_of_all(now, from, bytes);
+            self.called(unit);
+        }
+    }
+
     /// A socket and its drive.
     pub(super) fn both(&mut self, station: usize) -> (&mut Station, &mut Unit) {
         let station = &mut self.stations[station];

@@ -74,6 +74,14 @@ pub trait SimDrive: Send {
         Vec::new()
     }
 
+    /// The number of the datagram socket at whose port it also takes what is sent to everybody, 255.255.255.255.
+    fn everybody(&self) -> Option<usize> {
+        None
+    }
+
+    /// A datagram to everybody. It answers by [`run`](Self::run).
+    fn receive_of_all(&mut self, _now: Time, _from: SocketAddrV4, _bytes: &[u8]) {}
+
     /// As [`receive`](Self::receive), at the socket of this number.
     fn receive_at(
         &mut self,

@@ -8,6 +8,7 @@
 //! | a datagram that is not exactly one frame | is dropped |
 //! | items that are no items | status 3 |
 //! | a class 3 message on another TCP connection than that of its open | is dropped |
+//! | a datagram to everybody that asks for no list | is dropped |
 //! | a class 3 message longer than its connection | is dropped |
 
 use std::net::{Ipv4Addr, SocketAddrV4};
@@ -19,7 +20,7 @@ use super::items::{self, Items, item, sockaddr};
 use super::sessions::{HEADER, Header, Sessions, command, status};
 use super::settings::MoonsSettings;
 use super::{assembly, consume, router};
-use fieldbeat_core::time::Time;
+use fieldbeat_core::time::{MS, Time};
 
 /// What the drive did not answer or did not act on, by name.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -59,7 +60,16 @@ pub(super) struct Adapter {
     pub configuration: [u8; assembly::CONFIGURATION_SIZE],
     pub ignored: Ignored,
     packet: Vec<u8>,
+    /// Answers to datagrams that went to everybody: when they leave, where to.
+    found: Vec<(Time, SocketAddrV4, Vec<u8>)>,
 }
+
+/// A device waits at random before it answers a datagram to everybody, up to so many ms; and up to this where the
+/// request names nothing.
+const LEAST_WAIT_MS: u16 = 500;
+const USUAL_WAIT_MS: u16 = 2_000;
+/// The most answers that wait.
+const MOST_FOUND: usize = 16;
 
 /// A message, and where it came from.
 #[derive(Clone, Copy, Debug)]
@@ -83,12 +93,14 @@ impl Adapter {
             configuration: [0; assembly::CONFIGURATION_SIZE],
             ignored: Ignored::default(),
             packet: Vec::new(),
+            found: Vec::new(),
             settings: settings.clone(),
         }
     }
 
     /// Power was lost.
     pub(super) fn restart(&mut self) {
+        self.found.clear();
         self.sessions.restart(&self.settings.network);
         self.connections.restart();
         self.outputs = [0; assembly::OUTPUT_SIZE];
@@ -177,6 +189,37 @@ impl Adapter {
             Some(header) if header.command == command::NOP => {}
             Some(header) => self.listed(header, out),
         }
+    }
+
+    /// A datagram to everybody in its network: its answer leaves after a while, so that not all devices answer at once.
+    pub(super) fn searched(&mut self, now: Time, from: SocketAddrV4, bytes: &[u8]) {
+        let mask = self.settings.network.mask.to_bits();
+        if (from.ip().to_bits() ^ self.ip().to_bits()) & mask != 0 {
+            return;
+        }
+        let mut answer = Vec::new();
+        self.datagram(bytes, &mut answer);
+        let Some(header) = Header::parse(&answer).filter(|header| header.status == status::OK) else {
+            return;
+        };
+        let most_ms = match u16::from_le_bytes([header.context[0], header.context[1]]) {
+            0 => USUAL_WAIT_MS,
+            most_ms => most_ms.max(LEAST_WAIT_MS),
+        };
+        // As good as random, and the same for the same seed.
+        let mixed = (now.0 ^ u64::from(self.serial()) << 32 ^ self.settings.clock.seed)
+            .wrapping_mul(0x9E37_79B9_7F4A_7C15);
+        let wait_ns = (mixed >> 32) % (u64::from(most_ms) * MS);
+        if self.found.len() < MOST_FOUND {
+            self.found.push((now + wait_ns, from, answer));
+        }
+    }
+
+    /// The next answer that leaves.
+    pub(super) fn found(&mut self, now: Time) -> Option<(SocketAddrV4, Vec<u8>)> {
+        let place = self.found.iter().position(|(at, ..)| *at <= now)?;
+        let (_, to, answer) = self.found.swap_remove(place);
+        Some((to, answer))
     }
 
     /// What needs no session.
@@ -306,7 +349,8 @@ impl Adapter {
 
     /// When it wants to run.
     pub(super) fn next_due(&self) -> Option<Time> {
-        [self.sessions.next_due(), self.connections.next_due()].into_iter().flatten().min()
+        let found = self.found.iter().map(|(at, ..)| *at).min();
+        [self.sessions.next_due(), self.connections.next_due(), found].into_iter().flatten().min()
     }
 
     /// Time-outs, then packets.

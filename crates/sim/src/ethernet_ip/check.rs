@@ -17,6 +17,7 @@ use super::assembly;
 use super::cip::{Failure, Key};
 use super::connections::{Connections, IO_PORT, Use};
 use super::open::{Open, OpenPath, Parameters, Type};
+use super::produce::Producer;
 use super::settings::{Configuration, ConfigurationError, IdentitySettings, Ownership, ShortRpi};
 use fieldbeat_core::time::{MS, US};
 
@@ -61,6 +62,11 @@ pub(super) fn admit(
     let inhibit = path.inhibit.map_or(0, |ms| u64::from(ms) * MS);
     unless(inhibit > u64::from(open.intervals_us.1) * US, 0x011B)?;
     let multicast = open.from.kind == Type::Multicast;
+    if let Use::ListenOnly(input) = purpose {
+        // It gets the packets that somebody else has requested, at their interval.
+        let is_like = |producer: &Producer| producer.input == input && producer.api_us == api_us.1;
+        unless(!connections.producers.iter().any(is_like), 0x0112)?;
+    }
     if let Some(input) = purpose.input().filter(|_| multicast) {
         shared(open, input, api_us.1, origin, connections)?;
     }

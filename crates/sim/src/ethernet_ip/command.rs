@@ -56,8 +56,11 @@ impl Drive {
         }
     }
 
-    /// The owner is idle.
-    pub(super) fn idle(&mut self) {
+    /// The owner is idle: a word that comes meanwhile does nothing, and is no change once it runs.
+    pub(super) fn idle(&mut self, outputs: &Outputs) {
+        if outputs.word != 0 {
+            self.last = *outputs;
+        }
         if self.firmware.idle == Idle::Stops {
             self.kill(false, false);
         }

@@ -44,7 +44,7 @@ pub(super) fn packet(adapter: &mut Adapter, now: Time, from: Ipv4Addr, bytes: &[
         return;
     }
     let mut data = Reader(items.data.1);
-    if data.0.len() != usize::from(connection.sizes.0) {
+    if !items.whole || data.0.len() != usize::from(connection.sizes.0) {
         ignored.wrong_length += 1;
         return;
     }
@@ -69,12 +69,11 @@ pub(super) fn packet(adapter: &mut Adapter, now: Time, from: Ipv4Addr, bytes: &[
         return;
     }
     (connection.count, connection.begun) = (count, true);
+    let (Some(outputs), Ok(image)) = (Outputs::parse(data.0), data.0.try_into()) else { return };
     if header & RUN == 0 {
         ignored.idle += 1;
-        return drive.idle();
+        return drive.idle(&outputs);
     }
-    if let (Some(outputs), Ok(image)) = (Outputs::parse(data.0), data.0.try_into()) {
-        adapter.outputs = image;
-        drive.outputs(&outputs);
-    }
+    adapter.outputs = image;
+    drive.outputs(&outputs);
 }

@@ -29,6 +29,8 @@ pub(super) struct Items<'a> {
     pub data: (u16, &'a [u8]),
     /// The port that the originator wants packets at.
     pub port: Option<u16>,
+    /// Nothing is behind them.
+    pub whole: bool,
 }
 
 impl<'a> Items<'a> {
@@ -49,7 +51,7 @@ impl<'a> Items<'a> {
                 port = Some(u16::from_be_bytes([data[2], data[3]]));
             }
         }
-        Some(Items { address, data, port })
+        Some(Items { address, data, port, whole: from.0.is_empty() })
     }
 }
 

@@ -25,7 +25,7 @@
 //! |---|---|
 //! | the first command word after an open | acts, if it is not 0 |
 //! | data with the sequence count 0 at first | is not new |
-//! | idle | its data does not exist: a word held over it is no edge |
+//! | idle | its data does nothing: a word held over it, or that comes with it, is no edge |
 //! | a move while disabled | alarm 0x1000 |
 //! | a move while moving | waits in the buffer |
 //! | no traffic for 500 ms (ZS) | stops with AM, and stays enabled |
@@ -188,6 +188,16 @@ impl SimDrive for MoonsSim {
         vec![(Carrier::Datagrams, self.at(IO_PORT)), (Carrier::Datagrams, self.address())]
     }
 
+    fn everybody(&self) -> Option<usize> {
+        Some(DISCOVERY)
+    }
+
+    fn receive_of_all(&mut self, now: Time, from: SocketAddrV4, bytes: &[u8]) {
+        if now >= self.booted_at {
+            self.adapter.searched(now, from, bytes);
+        }
+    }
+
     fn receive_at(
         &mut self,
         socket: usize,
@@ -225,6 +235,9 @@ impl SimDrive for MoonsSim {
     fn run(&mut self, now: Time, send: &mut dyn FnMut(usize, SocketAddrV4, &[u8])) {
         self.drive.advance(now);
         self.adapter.run(now, &mut self.drive, &mut |to, bytes| send(PACKETS, to, bytes));
+        while let Some((to, bytes)) = self.adapter.found(now) {
+            send(DISCOVERY, to, &bytes);
+        }
     }
 
     fn connect(&mut self, now: Time, from: SocketAddrV4) -> bool {

@@ -12,7 +12,7 @@ use nix::sys::eventfd::EventFd;
 use nix::sys::time::TimeSpec;
 
 use super::segments::Segment;
-use super::sockets::{Farewell, LISTENER, SharedBus, Socket, not_now, token, unbound};
+use super::sockets::{EVERYBODY, Farewell, LISTENER, SharedBus, Socket, not_now, token, unbound};
 use super::wires::Wire;
 use super::{BusStats, ConnectionStats, DriveStats, lock};
 use crate::drives::Drives;
@@ -58,7 +58,8 @@ impl Service {
         epoll.add(stop, EpollEvent::new(EpollFlags::EPOLLIN, STOP))?;
         let taken = |address, carrier| unbound(address, carrier, io::ErrorKind::AddrInUse.into());
         let drives = Drives::new(simulated.drives, taken)?;
-        let sockets = drives.stations.iter().map(Socket::open).collect::<io::Result<Vec<_>>>()?;
+        let open = |station| Socket::open(station, drives.is_for_all(station));
+        let sockets = drives.stations.iter().map(open).collect::<io::Result<Vec<_>>>()?;
         for (index, socket) in sockets.iter().enumerate() {
             socket.watch(&epoll, token(index, LISTENER))?;
         }
@@ -139,6 +140,7 @@ impl Service {
     fn ready(&mut self, event: &EpollEvent, bytes: &mut [u8]) {
         let (index, number) = (event.data() as u32 as usize, (event.data() >> 32) as u32);
         match self.sockets.get(index) {
+            Some(Socket::Datagrams { .. }) if number == EVERYBODY => self.receive_of_all(index, bytes),
             Some(Socket::Datagrams { .. }) => self.receive(index, bytes),
             Some(Socket::Stream { .. }) if number == LISTENER => self.accept(index),
             Some(Socket::Stream { .. }) => self.read(index, number, event.events(), &mut bytes[..CHUNK]),
@@ -156,6 +158,14 @@ impl Service {
         let Socket::Datagrams { socket, .. } = &self.sockets[index] else { return };
         if let Ok((length, SocketAddr::V4(from))) = socket.recv_from(bytes) {
             self.came(index, from, &bytes[..length]);
+        }
+    }
+
+    /// Takes one datagram to everybody: to the drive itself, without the faults of its socket.
+    fn receive_of_all(&mut self, index: usize, bytes: &mut [u8]) {
+        let Socket::Datagrams { everybody: Some(socket), .. } = &self.sockets[index] else { return };
+        if let Ok((length, SocketAddr::V4(from))) = socket.recv_from(bytes) {
+            self.drives.receive_of_all(index, MonotonicClock::read(), from, &bytes[..length]);
         }
     }
 
@@ -268,7 +278,7 @@ impl Service {
         };
         let Some(index) = index else { return };
         let sent = match &self.sockets[index] {
-            Socket::Datagrams { socket, wrong: other } => {
+            Socket::Datagrams { socket, wrong: other, .. } => {
                 let source = other.as_ref().filter(|_| wrong).unwrap_or(socket);
                 source.send_to(&parcel.bytes, parcel.to).is_ok()
             }

@@ -1,11 +1,12 @@
 //! The sockets of a drive: datagram sockets, and a listening one with its connections.
 
 use std::io::{self, Write};
-use std::net::{SocketAddrV4, TcpListener, TcpStream, UdpSocket};
+use std::net::{Ipv4Addr, SocketAddrV4, TcpListener, TcpStream, UdpSocket};
+use std::os::fd::AsRawFd;
 use std::sync::Mutex;
 
 use nix::sys::epoll::{Epoll, EpollEvent, EpollFlags};
-use nix::sys::socket::{setsockopt, sockopt};
+use nix::sys::socket::{AddressFamily, SockFlag, SockType, SockaddrIn, setsockopt, socket, sockopt};
 
 use super::BusStats;
 use crate::Carrier;
@@ -31,6 +32,8 @@ pub(super) enum Socket {
         socket: UdpSocket,
         /// The source of replies with a wrong identity, if there are any.
         wrong: Option<UdpSocket>,
+        /// For what is sent to everybody at its port. Each drive has its own, and the kernel gives each a copy.
+        everybody: Option<UdpSocket>,
     },
     Stream {
         listener: TcpListener,
@@ -51,6 +54,9 @@ pub(super) struct Connection {
 
 /// The number of no connection: the source of new ones.
 pub(super) const LISTENER: u32 = 0;
+
+/// The number of the socket for what is sent to everybody.
+pub(super) const EVERYBODY: u32 = 1;
 
 /// Several drives behind one descriptor of this thread: a segment or a serial wire.
 pub(super) trait SharedBus: Send {
@@ -76,12 +82,15 @@ pub(super) fn token(index: usize, number: u32) -> u64 {
 }
 
 impl Socket {
-    pub(super) fn open(station: &Station) -> io::Result<Socket> {
+    /// `of_all`: it also takes what is sent to everybody. Another program may have that port for itself; the drive is
+    /// found by its address only then.
+    pub(super) fn open(station: &Station, of_all: bool) -> io::Result<Socket> {
         let address = station.address;
         Ok(match station.carrier {
             Carrier::Datagrams => Socket::Datagrams {
                 wrong: station.injector.mislabels().then(|| bind(wrong_port(address))).transpose()?,
                 socket: bind(address)?,
+                everybody: of_all.then(|| bind_to_all(address.port()).ok()).flatten(),
             },
             Carrier::Stream => {
                 Socket::Stream { listener: listen(address)?, connections: Vec::new(), newest: LISTENER }
@@ -91,7 +100,11 @@ impl Socket {
 
     pub(super) fn watch(&self, epoll: &Epoll, token: u64) -> nix::Result<()> {
         match self {
-            Socket::Datagrams { socket, .. } => {
+            Socket::Datagrams { socket, everybody, .. } => {
+                if let Some(everybody) = everybody {
+                    let token = token | u64::from(EVERYBODY) << 32;
+                    epoll.add(everybody, EpollEvent::new(EpollFlags::EPOLLIN, token))?;
+                }
                 epoll.add(socket, EpollEvent::new(EpollFlags::EPOLLIN, token))
             }
             // Edge-triggered: a connection that cannot be accepted for lack of descriptors would wake up the thread
@@ -105,7 +118,7 @@ impl Socket {
     /// The most descriptors that it has.
     pub(super) fn descriptors(&self) -> usize {
         match self {
-            Socket::Datagrams { .. } => 1,
+            Socket::Datagrams { .. } => 2,
             Socket::Stream { .. } => 1 + CONNECTIONS,
         }
     }
@@ -238,6 +251,18 @@ fn bind(address: SocketAddrV4) -> io::Result<UdpSocket> {
         .and_then(|socket| socket.set_nonblocking(true).map(|()| socket))
         .and_then(|socket| leaves_from(&socket, address).map(|()| socket))
         .map_err(|error| unbound(address, Carrier::Datagrams, error))
+}
+
+/// A socket that has what is sent to 255.255.255.255 at this port, next to others that have it, too.
+fn bind_to_all(port: u16) -> io::Result<UdpSocket> {
+    let flags = SockFlag::SOCK_CLOEXEC | SockFlag::SOCK_NONBLOCK;
+    let socket = socket(AddressFamily::Inet, SockType::Datagram, flags, None)?;
+    setsockopt(&socket, sockopt::ReuseAddr, &true)?;
+    nix::sys::socket::bind(
+        socket.as_raw_fd(),
+        &SockaddrIn::from(SocketAddrV4::new(Ipv4Addr::BROADCAST, port)),
+    )?;
+    Ok(socket.into())
 }
 
 /// What it sends to a multicast group leaves by the interface of its own address (ip(7)).

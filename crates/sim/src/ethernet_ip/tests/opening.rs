@@ -175,6 +175,9 @@ fn listening_needs_somebody_who_requests_and_ends_with_the_last_of_them() {
     assert_eq!(refusal(&mut bench, &Forward::listen_only()), [0x0119]);
     bench.open(&Forward::default());
     bench.open(&Forward::input_only());
+    // It gets what another one has requested, as often as that.
+    let slower = Forward { us: (10_000, 20_000), ..Forward::listen_only() };
+    assert_eq!(refusal(&mut bench, &slower), [0x0112]);
     bench.open(&Forward::listen_only());
     bench.message(&Forward::default().close());
     assert_eq!(bench.sim.connections().1, 2);

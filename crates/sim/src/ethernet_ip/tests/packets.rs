@@ -103,6 +103,8 @@ fn packets_that_are_not_the_connections_own_feed_nobody() {
         // Without the run/idle header, and with a byte more.
         (MASTER_IO, [&good[..16], &[66], &good[17..20], &good[24..]].concat()),
         (MASTER_IO, [&good[..16], &[71], &good[17..], &[0]].concat()),
+        // A byte behind the last item.
+        (MASTER_IO, [&good[..], &[0]].concat()),
     ];
     for (from, bytes) in &wrong {
         assert_eq!(bench.at(PACKETS, *from, bytes), [0; 0]);
@@ -111,7 +113,7 @@ fn packets_that_are_not_the_connections_own_feed_nobody() {
         wrong_source: 1,
         unknown_connection: 1,
         wrong_items: 3,
-        wrong_length: 2,
+        wrong_length: 3,
         ..Ignored::default()
     };
     assert_eq!((bench.sim.ignored(), bench.status()), (expected, 0));
@@ -184,6 +186,11 @@ fn an_idle_owner_feeds_and_does_not_act() {
     bench.word(0x2);
     bench.packet(0, &outputs(0, &[]));
     bench.word(0x2);
+    assert_eq!(bench.status(), 1);
+    // Nor is a word that comes in idle a change once it runs.
+    bench.word(0);
+    bench.packet(0, &outputs(0x4, &[]));
+    bench.word(0x4);
     assert_eq!(bench.status(), 1);
     bench.word(0);
     bench.command(0x10000, &[(1, 240), (2, 600), (3, 600)]);

@@ -158,3 +158,35 @@ fn a_power_cycle_takes_its_time_and_everything_volatile() {
     bench.open(&Forward::default());
     assert_ne!(bench.id, old, "what is under way to the old connection is not for the new one");
 }
+
+#[test]
+fn a_search_of_all_devices_is_answered_within_the_time_that_it_names() {
+    let search = |context: [u8; 8], command| {
+        let mut bytes = frame(command, 0, &[]);
+        bytes[12..20].copy_from_slice(&context);
+        bytes
+    };
+    for (context, within_ms) in
+        [([0; 8], 2_000), ([1, 0, 7, 7, 7, 7, 7, 7], 500), ([0xE8, 3, 0, 0, 0, 0, 0, 0], 1_000)]
+    {
+        let mut bench = Bench::new(|_| {});
+        let now = bench.now;
+        bench.sim.receive_of_all(now, other(9), &search(context, 0x63));
+        // From another network, what asks for no list, and what is no frame.
+        let far = SocketAddrV4::new(Ipv4Addr::new(10, 0, 1, 1), 9);
+        bench.sim.receive_of_all(now, far, &search(context, 0x63));
+        bench.sim.receive_of_all(now, other(9), &search(context, 0x65));
+        bench.sim.receive_of_all(now, other(9), b"hello");
+        let mut found = Vec::new();
+        for ms in 0..=within_ms {
+            bench.sim.run(now + ms * MS, &mut |socket, to, bytes| found.push((socket, to, bytes.to_vec())));
+        }
+        let [(socket, to, bytes)] = &found[..] else { panic!("{found:?}") };
+        assert_eq!((*socket, *to, &bytes[12..20]), (DISCOVERY, other(9), &context[..]));
+        assert_eq!(
+            bytes[24..],
+            bench.at(DISCOVERY, other(9), &search(context, 0x63))[24..],
+            "as one by itself"
+        );
+    }
+}
