@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use fieldbeat::Master;
 
 use super::support::{LONG, Machine, drive, run};
-use super::{ask, await_online, finish, master, online, patient_cycle, simulation};
+use super::{ask, await_online, finish, master, online, patient_cycle, simulation, wires};
 
 /// Link health that no busy host comes to the end of.
 const PATIENT: &str = "{ bucket = \"10s\", leak = 1 }";
@@ -76,6 +76,30 @@ fn a_second_master_is_refused_by_name_and_the_first_one_does_not_notice() {
             (&"online".into(), &0.into(), &0.into())
         );
         assert_eq!(drive["stopped"], "shutdown", "{drive}");
+    }
+}
+
+/// Values, and parameters by explicit messages, take the outputs from nobody.
+#[test]
+fn a_moons_drive_is_read_next_to_its_owner() {
+    let machine = Machine::new(183);
+    let owned = wires::moons(&machine);
+    let [own, other] = [1, 2].map(|host| format!("bind = \"{}\"", machine.ip(host)));
+    let text = std::fs::read_to_string(&owned).unwrap().replace(&own, &other);
+    let values = text.replace("[bus.defaults]\n", "[bus.defaults]\nconnection = \"input-only\"\n");
+    let [second, reader] =
+        [("second.toml", text), ("reader.toml", values)].map(|(file, text)| machine.write(file, text));
+    let _sim = simulation(&owned);
+    let first = online(&owned, &["--json"]);
+    for (address, code) in [("feeder AC", 0), ("turret 0x01/1/7.text", 0), ("feeder 0x77/1/1.u16", 1)] {
+        ask("param get", &second, address).expect(code);
+    }
+    master(&second, &["--for", "1s"]).end().refused(&["drive feeder at ", "is in use by another master"]);
+    let read = finish(online(&reader, &["--json"]));
+    let owner = finish(first);
+    for name in ["feeder", "turret"] {
+        assert_eq!((&drive(&read, name)["losses"], &drive(&owner, name)["losses"]), (&0.into(), &0.into()));
+        assert_eq!(drive(&owner, name)["stopped"], "shutdown");
     }
 }
 

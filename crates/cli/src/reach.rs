@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use fieldbeat_control::{AskError, Remote};
 use fieldbeat_core::axis::Acyclic;
-use fieldbeat_core::axis::acyclic::{Access, Carrier, Notation};
+use fieldbeat_core::axis::acyclic::{Access, Call, CallError, Carrier, Notation};
 use fieldbeat_core::cycle::Plan;
 use fieldbeat_core::net::Os;
 use fieldbeat_master::{Master, StartError};
@@ -24,6 +24,9 @@ const PATIENCE: Duration = Duration::from_secs(5);
 /// All of a bring-up. It takes thousands of cycles on an EtherCAT segment, and more of them where the host disturbs
 /// them.
 const BRING_UP: Duration = Duration::from_secs(30);
+
+/// A drive that answers without an exchange does so within this time.
+const PROBED: Duration = Duration::from_secs(1);
 
 /// The way to a drive.
 pub struct Reach {
@@ -111,6 +114,16 @@ pub fn running(wanted: Wanted<'_>, drive: &str) -> Result<Option<Remote>, Stop> 
     }
 }
 
+/// The drive is online, or answers `probe`, whatever it answers.
+fn is_there(acyclic: &Acyclic, probe: Option<Call>) -> Result<bool, Stop> {
+    let Some(call) = probe else { return Ok(acyclic.condition().map_err(Stop::failed)?.online) };
+    match acyclic.run(&[call], PROBED).failed {
+        None | Some(CallError::Refused(_)) => Ok(true),
+        Some(CallError::NotOnline | CallError::TimedOut) => Ok(false),
+        Some(error) => Err(Stop::failed(error)),
+    }
+}
+
 fn alone(plan: &Plan, drive: &str, interrupt: &Interrupt) -> Result<Way, Stop> {
     if plan.find_device(drive).is_some() {
         // Its outputs would fall with a master of its own.
@@ -131,13 +144,14 @@ fn alone(plan: &Plan, drive: &str, interrupt: &Interrupt) -> Result<Way, Stop> {
     for bus in &plan.buses {
         bus.require_idle(&Os::default()).map_err(|error| refused(error.into()))?;
     }
+    let probe = plan.buses.first().and_then(|bus| bus.probe());
     let master = Master::from_plan(plan).start().map_err(refused)?;
     let Some(acyclic) = master.acyclics().iter().find(|acyclic| acyclic.axis() == drive).cloned() else {
         return Err(Stop::failed(format!("drive {drive} has no acyclic access")));
     };
     let begun = Instant::now();
     let (mut since, mut steps) = (begun, Vec::new());
-    while !acyclic.condition().map_err(Stop::failed)?.online {
+    while !is_there(&acyclic, probe)? {
         if interrupt.is_set() {
             return Err(Stop::failed("interrupted; nothing was written"));
         }

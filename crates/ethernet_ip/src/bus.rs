@@ -71,8 +71,12 @@ impl EthernetIpBus {
         period_ns: u64,
         carriers: &dyn Carriers,
     ) -> Result<Box<dyn Bus>, OpenError> {
-        let addresses = plan.drives.iter().map(|drive| (&drive.axis, drive.address));
-        let locks = drives::lock(&plan.name, addresses, carriers)?;
+        // Who only reads or sends explicit messages takes nothing from the one who owns the outputs.
+        let owned = plan.drives.iter().filter(|drive| drive.is_owned());
+        let locks = drives::lock(&plan.name, owned.map(|drive| (&drive.axis, drive.address)), carriers)?;
+        let is_cyclic = plan.drives.iter().any(|drive| drive.cyclic);
+        // No packet comes without a connection, and the port may be another master's.
+        let bind = if is_cyclic { plan.bind } else { SocketAddrV4::new(*plan.bind.ip(), 0) };
         let groups = plan.drives.iter().filter(|drive| drive.delivery == Delivery::Multicast).count();
         let waiting = plan.drives.iter().map(|drive| drive.axis.health.bucket as usize).max().unwrap_or(0);
         let options = UdpOptions {
@@ -83,7 +87,7 @@ impl EthernetIpBus {
             dscp: plan.dscp,
             groups,
         };
-        let net = carriers.datagrams(plan.bind, &options).map_err(|source| OpenError::Bind {
+        let net = carriers.datagrams(bind, &options).map_err(|source| OpenError::Bind {
             bus: plan.name.clone(),
             address: plan.bind,
             remedy: remedy(&source),

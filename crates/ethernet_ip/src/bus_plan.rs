@@ -7,10 +7,11 @@ use super::bus::EthernetIpBus;
 use super::counters::OWN;
 use super::fields::layout;
 use super::notation::Addresses;
-use super::plan::{EthernetIpPlan, MoonsDrive};
+use super::plan::{Delivery, EthernetIpPlan, MoonsDrive};
 use super::profile;
+use super::target::Target;
 use super::wire::assembly::alarms;
-use fieldbeat_core::axis::acyclic::Notation;
+use fieldbeat_core::axis::acyclic::{Call, Notation};
 use fieldbeat_core::axis::feedback::MONITOR_CHANNELS;
 use fieldbeat_core::axis::{AxisPlan, FaultNames, FoundRunning, MonitorChannel, PlanFault};
 use fieldbeat_core::bus::desired::Capabilities;
@@ -89,11 +90,17 @@ impl BusPlan for EthernetIpPlan {
         Arc::new(Addresses)
     }
 
-    /// The connection stays what it is: it is also used to move the drive. Nothing is commanded by opening it.
+    /// By explicit messages alone: they need no connection, and take the outputs from nobody who owns them.
     fn reaching(&self, index: usize) -> Option<Box<dyn BusPlan>> {
         let mut drive = self.drives.get(index)?.clone();
+        (drive.cyclic, drive.delivery) = (false, Delivery::PointToPoint);
         drive.axis.on_found_running = FoundRunning::Refuse;
         Some(Box::new(EthernetIpPlan { drives: vec![drive], ..self.clone() }))
+    }
+
+    fn probe(&self) -> Option<Call> {
+        let is_without = self.drives.iter().all(|drive| !drive.cyclic);
+        is_without.then(|| Target::VENDOR.read())
     }
 
     fn variant(&self, wanted: &Variant) -> Option<Box<dyn BusPlan>> {

@@ -115,6 +115,7 @@ fn drive(table: &mut Table<'_>, machine: &mut Machine, bind: Option<SocketAddrV4
         steps_per_revolution: steps,
         address,
         connection,
+        cyclic: default.cyclic,
         version: table.word("version", &[("v1", Version::V1), ("v2", Version::V2)]),
         layout: table
             .word("layout", &[("manual", Layout::Manual), ("page", Layout::Page)])

@@ -69,6 +69,8 @@ pub struct MoonsDrive {
     pub address: SocketAddrV4,
     /// What the connection may do.
     pub connection: Access,
+    /// It has a class 1 connection. Without one there are explicit messages only: they need none, and own nothing.
+    pub cyclic: bool,
     /// Which assemblies the drive has; `None`: as its profile code says.
     pub version: Option<Version>,
     /// The order of the elements of the input assembly 0x65.
@@ -248,6 +250,7 @@ impl MoonsDrive {
             steps_per_revolution: MoonsDrive::STEPS_PER_REVOLUTION,
             address: SocketAddrV4::new(address, PORT),
             connection: Access::Owner,
+            cyclic: true,
             version: None,
             layout: Layout::Manual,
             delivery: Delivery::PointToPoint,
@@ -334,7 +337,7 @@ impl MoonsDrive {
 
     /// Whether its outputs are this master's.
     pub fn is_owned(&self) -> bool {
-        self.connection == Access::Owner
+        self.cyclic && self.connection == Access::Owner
     }
 
     /// It takes commands: its outputs are this master's, and it has some.

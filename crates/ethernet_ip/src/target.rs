@@ -108,6 +108,9 @@ impl Target {
     /// The highest attribute.
     pub(crate) const ATTRIBUTE_MAX: u16 = 0x3FF;
 
+    /// The vendor: every device has it.
+    pub const VENDOR: Target = Target::Attribute { class: 1, instance: 1, attribute: 1 };
+
     /// An attribute; `None`: its numbers are above the highest.
     pub fn attribute(class: u16, instance: u16, attribute: u16) -> Option<Target> {
         let fits = class <= Target::CLASS_MAX

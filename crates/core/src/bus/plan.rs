@@ -9,7 +9,7 @@ use super::desired::Capabilities;
 use super::native::NativeLayout;
 use super::variant::Variant;
 use super::{Bus, OpenError, OwnCounter};
-use crate::axis::acyclic::Notation;
+use crate::axis::acyclic::{Call, Notation};
 use crate::axis::feedback::MONITOR_CHANNELS;
 use crate::axis::{AxisPlan, FaultNames, MonitorChannel, PlanFault, SilenceFaults};
 use crate::net::Carriers;
@@ -152,6 +152,13 @@ pub trait BusPlan: Any + Debug + Send + Sync {
     /// This bus with drive `index` only, and without anything that the drive monitors. Devices found running stay
     /// running.
     fn reaching(&self, index: usize) -> Option<Box<dyn BusPlan>>;
+
+    /// A call that the drive of a plan of [`reaching`](Self::reaching) answers whenever it is there, without an
+    /// exchange; `None`: it has to be online.
+    #[doc(hidden)]
+    fn probe(&self) -> Option<Call> {
+        None
+    }
 
     /// The IP addresses of its drives, in slot order; empty if they have none.
     fn addresses(&self) -> Vec<SocketAddrV4>;

@@ -37,6 +37,8 @@ struct Active {
     until: Time,
     sent: bool,
     commands: bool,
+    /// The drive was found without power, where the loop does not see that.
+    is_off: bool,
 }
 
 /// What is sent for a call.
@@ -193,14 +195,29 @@ impl Calls {
             _ => match Message::of(&call, self.loaded.whole(&posted)) {
                 Ok(message) => {
                     let (until, commands) = (now + posted.limit_ns, self.port.commands(&posted));
+                    let posted = Some(posted);
                     self.active =
-                        Some(Active { posted: Some(posted), message, until, sent: false, commands });
+                        Some(Active { posted, message, until, sent: false, commands, is_off: false });
                     return;
                 }
                 Err(status) => Err(status),
             },
         };
         self.port.end(&posted, here.map_err(CallError::Refused));
+    }
+
+    /// The call that is to be sent commands the drive, and whether that is without power is still open.
+    pub(super) fn waits_for_power(&self) -> bool {
+        self.active.as_ref().is_some_and(|active| !active.sent && active.commands && !active.is_off)
+    }
+
+    /// What the drive says of that; an error is its refusal.
+    pub(super) fn power(&mut self, is_on: Result<bool, u32>) {
+        match is_on {
+            Ok(false) => self.active.iter_mut().for_each(|active| active.is_off = true),
+            Ok(true) => self.end(Err(CallError::Commands)),
+            Err(status) => self.end(Err(CallError::Refused(status))),
+        }
     }
 
     /// Appends the message of the call that is to be sent, and returns when its answer is due at the latest. `None`: it

@@ -4,10 +4,12 @@
 use std::net::{Ipv4Addr, SocketAddrV4};
 
 use super::opening::Next;
+use super::requests::STATUS;
 use super::{Connected, Io, Joined, Life, Open, Phase, Session, Way, What, words};
 use crate::exchange::{Connection, News, Outputs};
 use crate::plan::{Access, Delivery, IO_PORT, Version};
 use crate::target;
+use crate::wire::assembly::status;
 use crate::wire::cip::{Reply, Status, service};
 use crate::wire::connection::{self, ConnectionError, Opened, timeout_factor};
 use crate::wire::encapsulation::{self, Frame, Identity, Unconnected, command};
@@ -179,6 +181,11 @@ impl Session {
             },
             // Closed, or not there: nothing is left of it.
             What::Close => self.end_close(),
+            What::Power => self.calls.power(match STATUS.answer(reply.data) {
+                _ if !reply.status.is_ok() => Err(target::refusal(reply.status)),
+                Ok(Answer::Word(word)) => Ok(word & status::ENABLED != 0),
+                _ => Err(target::BROKEN),
+            }),
             What::Call => self.calls.answer(&self.end, &reply),
         }
         Ok(())
@@ -191,7 +198,7 @@ impl Session {
             What::Register => false,
             What::Identity => reply.service == service::GET_ATTRIBUTES_ALL,
             What::Profile | What::Probe => reply.service == service::GET_ATTRIBUTE_SINGLE,
-            What::Homed(_) => reply.service == service::VENDOR,
+            What::Homed(_) | What::Power => reply.service == service::VENDOR,
             What::Open(open, ..) | What::OpenConnected(open) => opens(open),
             What::Close => self.to_close.front().is_some_and(|open| {
                 let closed = connection::closed(reply, open.triad);

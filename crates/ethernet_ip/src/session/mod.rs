@@ -137,6 +137,9 @@ enum What {
     Close,
     /// Something that every device answers.
     Probe,
+    /// Whether the drive is enabled, before a call that commands it: without a class 1 connection the loop does not see
+    /// it.
+    Power,
     Call,
 }
 
@@ -419,7 +422,7 @@ impl Session {
             self.read_facts(now, out);
             return true;
         }
-        if let (Io::Closed { from }, Some(version)) = (&self.io, self.version)
+        if let (Io::Closed { from }, Some(version), true) = (&self.io, self.version, self.drive.cyclic)
             && *from <= now
             && self.news.is_empty()
         {
@@ -448,6 +451,10 @@ impl Session {
 
     /// Sends the next call, or opens the connection for it.
     fn call(&mut self, now: Time, out: &mut Vec<u8>) -> bool {
+        if !self.drive.cyclic && self.calls.waits_for_power() {
+            self.request_power(now, out);
+            return true;
+        }
         let connected = match (self.drive.explicit, self.connected) {
             (Explicit::Connected, Connected::Closed) => {
                 self.connect(now, out);
@@ -522,7 +529,7 @@ impl Session {
                 self.close_later(open);
                 self.calls.silent();
             }
-            What::Call => {
+            What::Power | What::Call => {
                 self.calls.silent();
                 self.probe_due = true;
             }

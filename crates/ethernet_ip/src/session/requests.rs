@@ -16,6 +16,8 @@ const CONNECTED_RPI_US: u32 = 1_000_000;
 const CONNECTED_MULTIPLIER: u8 = 3;
 /// The largest message on a class 3 connection, with its sequence number: every device has it.
 const CONNECTED_SIZE: u16 = 500;
+/// SC: the status word.
+pub(super) const STATUS: Immediate = Immediate::ReadParameter(0x80);
 /// Where the identity is.
 const IDENTITY: [Segment<'static>; 2] = [Segment::Class(class::IDENTITY), Segment::Instance(1)];
 /// The vendor: a request that every device answers.
@@ -101,6 +103,13 @@ impl Session {
     pub(super) fn request_profile(&mut self, now: Time, out: &mut Vec<u8>) {
         self.request(now, out, What::Profile, |message| {
             cip::request(message, service::GET_ATTRIBUTE_SINGLE, &message::PROFILE_PATH, &[]);
+        });
+    }
+
+    /// Reads the status of the drive.
+    pub(super) fn request_power(&mut self, now: Time, out: &mut Vec<u8>) {
+        self.request(now, out, What::Power, |out| {
+            cip::request(out, service::VENDOR, &message::PATH, &STATUS.encode());
         });
     }
 

@@ -54,6 +54,31 @@ impl Bench {
     }
 }
 
+/// Nobody's outputs are taken for a parameter. What the loop knows of the drive's power is asked of the drive.
+#[test]
+fn without_a_class_1_connection_nothing_is_opened_and_only_a_drive_without_power_is_commanded() {
+    const STATUS: &str = "3C 03 20 64 24 01 30 01 00 02 84 80 00 00 00 00";
+    let mut bench = Bench::registered(|drive| drive.cyclic = false);
+    bench.pass(10 * S);
+    bench.silence();
+    assert_eq!(bench.call(ac(false).read(), READ, READ_REPLY), Ok(600));
+    for (status, ends) in [
+        ("BC 00 00 00 00 02 84 80 00 01 00 00", Some(Err(CallError::Commands))),
+        ("BC 00 20 00", Some(Err(CallError::Refused(0x20)))),
+        ("BC 00 00 00 00 02 84 80 00 00 00 00", None),
+    ] {
+        let mut ticket = bench.post_write();
+        bench.trade(STATUS, status);
+        if ends.is_none() {
+            bench.trade(WRITE, "BC 00 00 00 00 02 83 1E 00 00 00 00");
+        }
+        bench.silence();
+        let end = ticket.poll().map(|end| end.map(|answer| answer.value));
+        assert_eq!(end, ends.or(Some(Ok(0))), "{status}");
+    }
+    assert!(matches!(bench.session.io, Io::Closed { .. }) && bench.news() == [READ_NOTHING]);
+}
+
 #[test]
 fn every_kind_of_call_is_sent_as_the_manual_says() {
     let mut bench = Bench::running(|_| ());

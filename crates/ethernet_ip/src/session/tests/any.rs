@@ -85,6 +85,7 @@ fn right(session: &Session) -> Vec<u8> {
         What::Homed(_) | What::Probe => PROBED.to_owned(),
         What::Open(Open { triad, .. }, ..) | What::OpenConnected(Open { triad, .. }) => opened(triad.serial),
         What::Close => of(session.to_close.front().map_or(0, |open| open.triad.serial), CLOSED),
+        What::Power => "BC 00 00 00 00 02 84 80 00 00 00 00".to_owned(),
         What::Call => "BC 00 00 00 00 02 A3 00 00 09 00 00".to_owned(),
     };
     match pending.way {
