@@ -322,6 +322,7 @@ mod tests {
     use super::*;
     use crate::object::Family;
     use crate::object::pdo::Layout;
+    use crate::wire::sdo::AbortCode;
 
     #[test]
     fn a_mode_whose_write_was_not_answered_is_read_before_it_counts() {
@@ -338,6 +339,37 @@ mod tests {
         assert_eq!(requests.mode(), ModeIs::Homing);
         let next = requests.next(Time(u64::MAX), ModeWanted::Own).map(|(pending, _)| pending);
         assert_eq!(next, Some(Pending::Mode(own)));
+    }
+
+    #[test]
+    fn a_drive_without_1002h_is_homed_by_what_was_seen_or_by_its_encoder() {
+        let mut drive = KollmorgenDrive::new("x", 0, Family::Akd);
+        let absent = || Err(SdoFailure::Abort(AbortCode::NO_OBJECT));
+        let mut requests = Requests::new(&drive);
+        for (attained, expected) in
+            [(false, Reference::Silent), (true, Reference::Set), (false, Reference::Silent)]
+        {
+            requests.attained = attained;
+            requests.request_reference();
+            assert_eq!((requests.homed, requests.reference()), (None, None));
+            requests.take(Time(0), Pending::Reference, absent());
+            assert_eq!((requests.homed, requests.reference()), (Some(attained), Some(expected)));
+        }
+        // One that has it says so itself, and one that was away is not known any more.
+        requests.attained = true;
+        requests.take(Time(0), Pending::Reference, Ok(0));
+        assert_eq!(requests.reference(), Some(Reference::Lost));
+        requests.forget();
+        requests.take(Time(0), Pending::Reference, absent());
+        assert_eq!(requests.homed, Some(false));
+        drive.absolute = true;
+        let mut requests = Requests::new(&drive);
+        for change in [|_: &mut Requests| {}, Requests::request_reference, Requests::forget] {
+            change(&mut requests);
+            requests.take(Time(0), Pending::Display, Ok(7));
+            assert_eq!((requests.homed, requests.reference()), (Some(true), Some(Reference::Set)));
+            assert_eq!(requests.next(Time(0), ModeWanted::AsIs).map(|(pending, _)| pending), None);
+        }
     }
 
     /// Whatever was read, it is the wanted one.
