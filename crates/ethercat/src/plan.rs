@@ -297,7 +297,11 @@ impl KollmorgenDrive {
         let mut drive = KollmorgenDrive {
             axis: AxisPlan::new(name, units),
             slave: SlavePlan {
-                identity: Expected { vendor: Some(KOLLMORGEN), product: Some(product), revision: None },
+                identity: Expected {
+                    vendor: Some(KOLLMORGEN),
+                    product: Some(product),
+                    ..Expected::default()
+                },
                 mailbox: Some(areas),
                 sync: true,
                 ..SlavePlan::new(place)

@@ -279,6 +279,8 @@ pub struct Managers {
     entries: [Option<(SyncManager, Use)>; MANAGERS],
     /// The first half of an entry.
     first: [u8; 4],
+    /// The serial number is read, too.
+    serial: bool,
 }
 
 impl Content for Managers {
@@ -295,7 +297,7 @@ impl Content for Managers {
     }
 
     fn wants_serial(&self) -> bool {
-        false
+        self.serial
     }
 
     fn take(&mut self, _kind: u16, at: usize, data: &[u8]) {
@@ -310,6 +312,11 @@ impl Content for Managers {
 }
 
 impl Managers {
+    /// None is read yet.
+    pub fn new(serial: bool) -> Managers {
+        Managers { serial, ..Managers::default() }
+    }
+
     /// There are none.
     pub fn is_empty(&self) -> bool {
         self.entries.iter().all(Option::is_none)

@@ -4,6 +4,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU8, Ordering};
 
 use crate::counters::DeviceCounters;
+use crate::plan::Expected;
 use crate::segment::note::{Note, Notes as SegmentNotes};
 use fieldbeat_core::bus::Notes;
 use fieldbeat_core::bus::counters::OWN_COUNTERS;
@@ -16,15 +17,18 @@ pub(super) const DOWN: u8 = 1;
 pub(super) const NOTHING_BACK: u8 = 2;
 pub(super) const OTHER_MASTER: u8 = 3;
 
+/// A slave of the plan: its index, its position, and who it has to be.
+pub(super) type KnownSlave = (usize, u16, Expected);
+
 /// The notes of drives and devices, in the order of the plan.
 #[derive(Debug)]
 pub(super) struct SlaveNotes {
     pub(super) notes: SegmentNotes,
     pub(super) remarks: [SegmentNotes; 2],
-    /// The slave of each drive, and its position.
-    pub(super) drives: Vec<(usize, u16)>,
+    /// The slave of each drive.
+    pub(super) drives: Vec<KnownSlave>,
     /// The same of each device.
-    pub(super) devices: Vec<(usize, u16)>,
+    pub(super) devices: Vec<KnownSlave>,
     /// What is counted of each device.
     pub(super) counters: Vec<Arc<DeviceCounters>>,
     pub(super) dropped: Option<Arc<dyn Dropped>>,
@@ -34,19 +38,19 @@ pub(super) struct SlaveNotes {
 
 impl Notes for SlaveNotes {
     fn get(&self, index: usize) -> Option<String> {
-        self.note(*self.drives.get(index)?)
+        self.note(self.drives.get(index)?)
     }
 
     fn device(&self, index: usize) -> Option<String> {
-        self.note(*self.devices.get(index)?)
+        self.note(self.devices.get(index)?)
     }
 
     fn remark(&self, index: usize) -> Option<String> {
-        self.remarked(*self.drives.get(index)?)
+        self.remarked(self.drives.get(index)?)
     }
 
     fn device_remark(&self, index: usize) -> Option<String> {
-        self.remarked(*self.devices.get(index)?)
+        self.remarked(self.devices.get(index)?)
     }
 
     fn device_counters(&self, index: usize) -> [u64; OWN_COUNTERS] {
@@ -59,15 +63,18 @@ impl Notes for SlaveNotes {
 }
 
 impl SlaveNotes {
-    fn remarked(&self, (slave, place): (usize, u16)) -> Option<String> {
-        match self.remarks.each_ref().map(|notes| notes.get(slave)) {
-            [Note::None, only] | [only, Note::None] => only.text(place),
-            [first, further] => Some(format!("{}; {}", first.text(place)?, further.what()?)),
+    fn remarked(&self, (slave, place, expected): &KnownSlave) -> Option<String> {
+        match self.remarks.each_ref().map(|notes| notes.get(*slave)) {
+            [Note::None, only] | [only, Note::None] => only.text(*place, expected),
+            [first, further] => {
+                Some(format!("{}; {}", first.text(*place, expected)?, further.what(expected)?))
+            }
         }
     }
 
-    fn note(&self, (slave, place): (usize, u16)) -> Option<String> {
+    fn note(&self, (slave, place, expected): &KnownSlave) -> Option<String> {
         let interface = &self.interface;
+        let text = self.notes.get(*slave).text(*place, expected);
         match self.wire.load(Ordering::Relaxed) {
             DOWN if local::name(interface).is_some() => {
                 Some(format!("nothing serves {interface}: start it: fieldbeat sim CONFIG"))
@@ -78,10 +85,10 @@ impl SlaveNotes {
                  to the master"
             )),
             // While it is there no slave is brought up; those that are in operation stay so.
-            OTHER_MASTER => self.notes.get(slave).text(place).map(|_| {
+            OTHER_MASTER => text.map(|_| {
                 format!("another master has frames on {interface}: end it, or look where its cable leads")
             }),
-            _ => self.notes.get(slave).text(place),
+            _ => text,
         }
     }
 }

@@ -77,5 +77,12 @@ fn found(slave: &Slave) -> Found {
     let known = families.into_iter().find(|(_, family)| product(*family) == Some(identity.product));
     let mut lines = vec![("position", place.to_string())];
     lines.extend(known.map(|(name, _)| ("type", name.to_owned())));
+    // What many slaves have says nothing of one of them.
+    if sii.sound && !matches!(sii.serial, 0 | u32::MAX) {
+        lines.push(("serial", format!("{:#010x}", sii.serial)));
+    }
+    if slave.alias != 0 {
+        lines.push(("alias", slave.alias.to_string()));
+    }
     Found { what: format!("{name} at position {place}"), lines }
 }

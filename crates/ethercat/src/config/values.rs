@@ -57,7 +57,19 @@ pub(super) fn identity(table: &mut Table<'_>, default: Expected) -> Expected {
         vendor: read("vendor", default.vendor),
         product: read("product", default.product),
         revision: read("revision", default.revision),
+        serial: read("serial", default.serial),
+        alias: short(table, "alias", default.alias),
+        identification: short(table, "identification", default.identification),
     }
+}
+
+/// A number of 16 bits by which a slave is known from others of its kind.
+fn short(table: &mut Table<'_>, key: &'static str, default: Option<u16>) -> Option<u16> {
+    let value = table.read(key, word_form().or(Form::word("any")), |value| {
+        let any = (value.as_str() == Some("any")).then_some(None);
+        any.or_else(|| word(value).map(Some)).ok_or("must be a number of 16 bits, or \"any\"".into())
+    });
+    value.unwrap_or(default)
 }
 
 /// `[start, bytes]`

@@ -98,6 +98,14 @@ impl KollmorgenDrive {
         };
         let mut lines =
             vec![format!("{family}, {}{}", self.slave.identity.describe(), self.slave.unchecked())];
+        lines.push(match self.slave.identity.describe_own() {
+            own if own.is_empty() => {
+                "known by its position only: an equal drive in its place is taken for it (serial, alias or \
+                 identification; fieldbeat pin)"
+                    .into()
+            }
+            own => format!("known by its {own}; with another one it stays not connected"),
+        });
         lines.push(self.describe_pdos());
         lines.extend(self.describe_rest());
         lines.extend(self.setpoint().map(|setpoint| self.describe_setpoint(setpoint)));
@@ -251,10 +259,21 @@ impl Expected {
             Some(number) => format!("{what} {number:#X}"),
             None => format!("any {what}"),
         };
-        let Expected { vendor, product, revision } = self;
+        let Expected { vendor, product, revision, .. } = self;
         [("vendor", vendor), ("product", product), ("revision", revision)]
             .map(|(what, value)| number(what, value))
             .join(", ")
+    }
+
+    /// By what it is known from others of its kind; empty: by its position only.
+    fn describe_own(self) -> String {
+        let Expected { serial, alias, identification, .. } = self;
+        let own = [
+            serial.map(|serial| format!("serial number {serial:#010x}")),
+            alias.map(|alias| format!("alias {alias}")),
+            identification.map(|identification| format!("identification {identification}")),
+        ];
+        own.into_iter().flatten().collect::<Vec<_>>().join(", ")
     }
 }
 
@@ -299,8 +318,12 @@ impl Device {
         };
         let bytes = if self.slave.output_bytes() == 1 { "byte" } else { "bytes" };
         let unchecked = self.slave.unchecked();
+        let own = match identity.describe_own() {
+            own if own.is_empty() => own,
+            own => format!(", {own}"),
+        };
         format!(
-            "{}{unchecked}; {} {bytes} out{}, {} in{}{end}",
+            "{}{own}{unchecked}; {} {bytes} out{}, {} in{}{end}",
             identity.describe(),
             self.slave.output_bytes(),
             places(outputs),

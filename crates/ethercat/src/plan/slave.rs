@@ -68,7 +68,7 @@ impl Watchdog {
     }
 }
 
-/// Who a slave has to be.
+/// Who a slave has to be. What is left out may be any.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Expected {
     /// Its maker.
@@ -77,6 +77,12 @@ pub struct Expected {
     pub product: Option<u32>,
     /// Which form of it.
     pub revision: Option<u32>,
+    /// Which one of them: the serial number in its SII.
+    pub serial: Option<u32>,
+    /// Its configured station alias, as register 0012h has it since its power-on.
+    pub alias: Option<u16>,
+    /// What it answers to a request for its identification: its selectors, or what was stored in it (ETG.1020).
+    pub identification: Option<u16>,
 }
 
 /// A piece of a slave's memory.
@@ -196,7 +202,17 @@ impl Area {
 }
 
 impl Expected {
-    /// Whether a slave with this identity is the one.
+    /// It is known from another one of its kind.
+    pub const fn is_single(&self) -> bool {
+        self.serial.is_some() || self.alias.is_some() || self.identification.is_some()
+    }
+
+    /// Its SII has a part of this.
+    pub(crate) const fn is_in_sii(&self) -> bool {
+        self.vendor.is_some() || self.product.is_some() || self.revision.is_some() || self.serial.is_some()
+    }
+
+    /// Whether a slave with this identity is of the expected kind.
     pub fn is(&self, found: Identity) -> bool {
         [(self.vendor, found.vendor), (self.product, found.product), (self.revision, found.revision)]
             .iter()

@@ -29,7 +29,7 @@ use super::counters::Own;
 use super::image::{Frame, Offsets};
 use super::mode::Mode;
 use super::outputs;
-use super::plan::{EthercatPlan, Owner, Start};
+use super::plan::{EthercatPlan, Expected, Owner, Start};
 use super::service::Service;
 use super::slot::{Answers, Ask};
 use super::wire::registers::AlState;
@@ -249,10 +249,11 @@ impl Segment {
         self.slaves.iter().any(|slave| slave.plan.sync).then(|| self.clock.status())
     }
 
-    /// The slave with this owner, and its position.
-    pub fn slave_of(&self, owner: Owner) -> Option<(usize, u16)> {
+    /// The slave with this owner, its position, and who it has to be.
+    pub fn slave_of(&self, owner: Owner) -> Option<(usize, u16, Expected)> {
         let slave = self.slaves.iter().position(|slave| slave.owner == owner)?;
-        Some((slave, self.slaves[slave].plan.place))
+        let plan = &self.slaves[slave].plan;
+        Some((slave, plan.place, plan.identity))
     }
 
     /// Prepares the first frame for `cycle`: clock and slot.

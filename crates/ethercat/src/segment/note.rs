@@ -6,6 +6,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use super::slave::Missing;
 use crate::object::{self, Objects};
+use crate::plan::Expected;
 use crate::service::ATTEMPTS;
 use crate::wire::registers::{AlCode, AlState};
 use crate::wire::sdo::{AbortCode, Object};
@@ -36,6 +37,24 @@ pub enum Note {
     Product(u32),
     /// It is another revision.
     Revision(u32),
+    /// It is another one of its kind, with this serial number.
+    Serial(u32),
+    /// It has another alias.
+    Alias {
+        /// The alias there; 0: none.
+        found: u16,
+        /// The configured one.
+        wanted: u16,
+    },
+    /// It identifies itself otherwise.
+    Identification {
+        /// As it does.
+        found: u16,
+        /// As configured.
+        wanted: u16,
+    },
+    /// It does not identify itself.
+    NoIdentification,
     /// The slave there is the one of another position.
     WrongPlace(u16),
     /// Its SII has a mailbox or process data elsewhere.
@@ -162,7 +181,7 @@ pub enum Note {
 /// Numbers of the notes, in the highest byte.
 impl Note {
     /// Those without a value: their number is their index, the others follow from 80h on.
-    const PLAIN: [Note; 14] = [
+    const PLAIN: [Note; 15] = [
         Note::None,
         Note::Absent,
         Note::NoClock,
@@ -177,6 +196,7 @@ impl Note {
         Note::Unarmed,
         Note::NoManagers,
         Note::Intruded,
+        Note::NoIdentification,
     ];
 
     fn pack(self) -> u64 {
@@ -188,6 +208,9 @@ impl Note {
             Note::Vendor(found) => number(0x80, 0, found),
             Note::Product(found) => number(0x81, 0, found),
             Note::Revision(found) => number(0x82, 0, found),
+            Note::Serial(found) => number(0x95, 0, found),
+            Note::Alias { found, wanted } => number(0x96, found.into(), wanted.into()),
+            Note::Identification { found, wanted } => number(0x97, found.into(), wanted.into()),
             Note::WrongPlace(place) => number(0x83, 0, place.into()),
             Note::Start { usage, own, named, length } => {
                 number(0x84, memory(usage, own), u32::from(named) << 16 | u32::from(length))
@@ -233,6 +256,9 @@ impl Note {
             0x80 => Note::Vendor(low),
             0x81 => Note::Product(low),
             0x82 => Note::Revision(low),
+            0x95 => Note::Serial(low),
+            0x96 => Note::Alias { found: high as u16, wanted: low as u16 },
+            0x97 => Note::Identification { found: high as u16, wanted: low as u16 },
             0x83 => Note::WrongPlace(low as u16),
             0x84 => Note::Start { usage, own: high as u16, named: (low >> 16) as u16, length: low as u16 },
             0x8d => Note::Length { usage, start: high as u16, own: (low >> 16) as u16, named: low as u16 },
@@ -264,13 +290,15 @@ impl Note {
         }
     }
 
-    /// In words, for the slave at this position; `None`: there is nothing to report.
-    pub fn text(self, place: u16) -> Option<String> {
-        Some(format!("place {place}: {}", self.what()?))
+    /// In words, for the slave at this position that has to be this one; `None`: there is nothing to report.
+    pub fn text(self, place: u16, expected: &Expected) -> Option<String> {
+        Some(format!("place {place}: {}", self.what(expected)?))
     }
 
     /// The same without its position.
-    pub fn what(self) -> Option<String> {
+    pub fn what(self, expected: &Expected) -> Option<String> {
+        const EXCHANGED: &str = "drives or cables are exchanged: put them back";
+        let wanted = |number: Option<u32>| number.map_or("any".into(), |number| format!("{number:#010x}"));
         Some(match self {
             Note::None => return None,
             Note::Absent => "nothing answers there: look at its power and at the cable in front of it".into(),
@@ -294,13 +322,37 @@ impl Note {
             }
             .into(),
             Note::Vendor(found) => {
-                format!("its vendor is {found:#010x}: correct vendor, or the order of the segment")
+                let wanted = wanted(expected.vendor);
+                format!("its vendor is {found:#010x}, not {wanted}: correct vendor, or the order of the segment")
             }
             Note::Product(found) => {
-                format!("its product is {found:#010x}: correct product, or the order of the segment")
+                let wanted = wanted(expected.product);
+                format!(
+                    "its product is {found:#010x}, not {wanted}: correct product, or the order of the segment"
+                )
             }
             Note::Revision(found) => {
-                format!("its revision is {found:#010x}: correct revision, or leave it out")
+                let wanted = wanted(expected.revision);
+                format!("its revision is {found:#010x}, not {wanted}: correct revision, or leave it out")
+            }
+            Note::Serial(found) => {
+                let wanted = wanted(expected.serial);
+                format!(
+                    "its serial number is {found:#010x}, not {wanted}: {EXCHANGED}, or correct serial for \
+                     another drive"
+                )
+            }
+            Note::Alias { found, wanted } => format!(
+                "its station alias is {found}, not {wanted}: {EXCHANGED}, or correct alias for another drive"
+            ),
+            Note::Identification { found, wanted } => format!(
+                "its identification is {found}, not {wanted}: {EXCHANGED}, or correct identification for \
+                 another drive"
+            ),
+            Note::NoIdentification => {
+                "it does not identify itself on request (AL control bit 5): leave identification out, and use \
+                 alias or serial"
+                    .into()
             }
             Note::WrongPlace(other) => {
                 format!("the slave there is the one of place {other}: look at the order of the cables")
@@ -495,6 +547,10 @@ mod tests {
             Note::Vendor(0x6A),
             Note::Product(0x0300_0600),
             Note::Revision(u32::MAX),
+            Note::Serial(u32::MAX),
+            Note::Alias { found: 0, wanted: u16::MAX },
+            Note::Identification { found: u16::MAX, wanted: 1 },
+            Note::NoIdentification,
             Note::WrongPlace(3),
             Note::Start { usage: 3, own: 0x1180, named: 0x1100, length: 6 },
             Note::Start { usage: 4, own: 0xFFFF, named: 0, length: 0 },
@@ -534,10 +590,14 @@ mod tests {
         for note in all {
             notes.set(0, note);
             assert_eq!(notes.get(0), note);
-            assert_eq!(note.text(4).is_none(), note == Note::None);
+            assert_eq!(note.text(4, &Expected::default()).is_none(), note == Note::None);
         }
         assert_eq!(
-            all.iter().find(|note| matches!(note, Note::State { .. })).unwrap().text(1).unwrap(),
+            all.iter()
+                .find(|note| matches!(note, Note::State { .. }))
+                .unwrap()
+                .text(1, &Expected::default())
+                .unwrap(),
             "place 1: it refuses SAFEOP: AL status code 0x001d (invalid output configuration)"
         );
         for (number, fault) in Fault::ALL.into_iter().enumerate() {

@@ -143,6 +143,9 @@ impl AlStatus {
     /// In the status: it refused, or fell back. In the control: that is acknowledged.
     pub const ERROR: u16 = 1 << 4;
 
+    /// In the control: its identification is requested. In the status: the code is its identification (ETG.1020).
+    pub const IDENTIFICATION: u16 = 1 << 5;
+
     /// State and error; other bits that some slaves show there are ignored.
     pub const SHOWN: u16 = 0x0F | Self::ERROR;
 

@@ -76,6 +76,9 @@ pub(super) struct Chip {
     features: Features,
     receive_times: bool,
     device_id: Option<u16>,
+    /// What it shows there on request only, and whether that is requested.
+    identification: Option<u16>,
+    identifies: bool,
     /// AL status follows AL control.
     emulated: bool,
     managers: Vec<Manager>,
@@ -104,6 +107,8 @@ impl Chip {
             features: settings.features,
             receive_times: settings.receive_times || settings.features.has_clock(),
             device_id: settings.device_id,
+            identification: settings.identification,
+            identifies: false,
             emulated: settings.emulated,
             managers: vec![Manager::default(); settings.sync_managers.min(32).into()],
             fmmus: vec![Fmmu::default(); settings.fmmus.min(32).into()],
@@ -184,8 +189,14 @@ impl Chip {
     }
 
     /// Shows a state, and locks the parts that it does not use.
+    /// Its identification is requested, or not any more.
+    pub(super) fn identify(&mut self, requested: bool) {
+        self.identifies = requested;
+    }
+
     pub(super) fn show_state(&mut self, state: AlState, error: bool, code: AlCode) {
-        let own = self.device_id.filter(|_| !error);
+        let requested = self.identification.filter(|_| self.identifies);
+        let own = self.device_id.or(requested).filter(|_| !error);
         let status = [(error, AlStatus::ERROR), (own.is_some(), DEVICE_ID)]
             .into_iter()
             .filter(|(set, _)| *set)

@@ -111,7 +111,10 @@ fn drive(table: &mut Table<'_>, drive: &KollmorgenDrive) -> DriveSettings {
         dialect: table
             .word("dialect", &[("standard", Dialect::Standard), ("manual", Dialect::Manual)])
             .unwrap_or(default.dialect),
-        serial: table.integer("serial", 0..=u32::MAX.into(), "the serial number").unwrap_or(default.serial),
+        serial: table
+            .integer("serial", 0..=u32::MAX.into(), "the serial number")
+            .or(drive.slave.identity.serial)
+            .unwrap_or(default.serial),
         position: start.unwrap_or(default.position),
         home_turns: table
             .read("home", Form::number(-1_000.0..=1_000.0).or(Form::word("none")), |value| {

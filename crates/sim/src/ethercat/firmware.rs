@@ -18,6 +18,8 @@ const MAILBOX: AlCode = AlCode(0x0016);
 const NO_SII: AlCode = AlCode(0x0050);
 const OUTPUTS: AlCode = AlCode(0x001D);
 const INPUTS: AlCode = AlCode(0x001E);
+/// In AL control: its identification is requested.
+const IDENTIFICATION: u16 = 1 << 5;
 /// Buffers below it are no memory, but outputs.
 const MEMORY: usize = 0x1000;
 
@@ -199,6 +201,7 @@ impl Firmware {
             return;
         }
         (self.error, self.pending) = (None, None);
+        chip.identify(request.0 & IDENTIFICATION != 0);
         match request.state() {
             None => self.refuse(UNKNOWN_STATE),
             Some(state) if state == self.state => {}

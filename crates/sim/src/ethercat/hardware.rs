@@ -45,6 +45,8 @@ pub struct Settings {
     /// Its device id, if it shows one: bit 5 of its AL status, and the code register while there is no error.
     /// Default: none.
     pub device_id: Option<u16>,
+    /// The same of one that shows it on request (AL control bit 5) only. Default: none.
+    pub identification: Option<u16>,
     /// The code with which it falls back when outputs are missing. That of a Kollmorgen S300 ... S700 is not known;
     /// of those that its manual names only that of synchronisation would fit.
     pub watchdog_code: AlCode,
@@ -73,6 +75,7 @@ impl Default for Settings {
             mailbox: MailboxSettings::default(),
             reaction_ns: 0,
             device_id: None,
+            identification: None,
             watchdog_code: AlCode::WATCHDOG,
             delay_ns: 0,
         }

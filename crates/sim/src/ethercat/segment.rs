@@ -52,6 +52,14 @@ impl Segment {
         fits
     }
 
+    /// Exchanges two slaves, each with everything that it is and has.
+    pub fn exchange(&mut self, one: usize, other: usize) {
+        if one.max(other) < self.slaves.len() {
+            self.slaves.swap(one, other);
+            self.link();
+        }
+    }
+
     /// Wires the outputs of slave `from` to the inputs of slave `to`.
     pub(super) fn wire(&mut self, from: usize, to: usize) {
         self.wires.push((from, to));

@@ -62,7 +62,14 @@ impl From<EthercatPlan> for EthercatSegment {
     fn from(plan: EthercatPlan) -> EthercatSegment {
         EthercatSegment {
             settings: SegmentSettings::default(),
-            drives: plan.drives.iter().map(|drive| DriveSettings::new(drive.family)).collect(),
+            drives: plan
+                .drives
+                .iter()
+                .map(|drive| DriveSettings {
+                    serial: drive.slave.identity.serial.unwrap_or_default(),
+                    ..DriveSettings::new(drive.family)
+                })
+                .collect(),
             devices: plan.devices.iter().map(Coupler::of).collect(),
             plan,
         }
@@ -314,6 +321,7 @@ fn hardware(segment: &SegmentSettings, slave: &SlavePlan, contents: &Contents, p
         fmmus: fmmus.unwrap_or(usual.fmmus),
         ports: own.model.map_or(usual.ports, Model::ports),
         device_id: segment.device_ids.then_some(slave.place),
+        identification: own.identification.or(slave.identity.identification),
         sii: content.of(contents.image()),
         sii_access: Access {
             busy_ns,
@@ -357,6 +365,7 @@ fn drive(plan: &KollmorgenDrive, settings: &DriveSettings, segment: &SegmentSett
         name,
         identity: settings.identity,
         serial: settings.serial,
+        alias: alias(&plan.slave, segment),
         mailboxes: plan.slave.mailbox.map(mailboxes),
         fmmus: FMMUS.to_vec(),
         managers: managers(&plan.slave, segment.slaves.get(&plan.slave.place), outputs),
@@ -407,7 +416,7 @@ fn drive_settings(plan: &KollmorgenDrive, mut settings: DriveSettings) -> DriveS
 
 fn device(plan: &Device, coupler: Coupler, segment: &SegmentSettings) -> Esc {
     let (slave, own) = (&plan.slave, segment.slaves.get(&plan.slave.place));
-    let (contents, application): (Contents, Box<dyn Application>) = match own.and_then(|own| own.model) {
+    let (mut contents, application): (Contents, Box<dyn Application>) = match own.and_then(|own| own.model) {
         Some(Model::El3102) => {
             let contents = Model::El3102.contents();
             (contents.clone(), Box::new(Analogue::new(contents)))
@@ -425,11 +434,19 @@ fn device(plan: &Device, coupler: Coupler, segment: &SegmentSettings) -> Esc {
             (contents, Box::new(coupler))
         }
     };
+    contents.serial = own.and_then(|own| own.serial).or(slave.identity.serial).unwrap_or(contents.serial);
+    contents.alias = alias(slave, segment);
     left(
         Esc::new(hardware(segment, slave, &contents, slave.mailbox.is_none()), application),
         segment,
         slave.place,
     )
+}
+
+/// The alias of the slave of a plan.
+fn alias(slave: &SlavePlan, segment: &SegmentSettings) -> u16 {
+    let own = segment.slaves.get(&slave.place).and_then(|own| own.alias);
+    own.or(slave.identity.alias).unwrap_or_default()
 }
 
 /// The expected numbers, and those of `other` where none is expected.

@@ -12,6 +12,12 @@ const FIRST_STATION: u16 = 0x1001;
 pub struct SlaveSettings {
     /// The device that it is, whatever the plan expects there. Default: one that the plan describes.
     pub model: Option<Model>,
+    /// Its serial number, of one that is no drive. Default: the expected one, else 0.
+    pub serial: Option<u32>,
+    /// Its alias. Default: the expected one, else none.
+    pub alias: Option<u16>,
+    /// Its identification, on request. Default: the expected one, else it does not identify itself.
+    pub identification: Option<u16>,
     /// It has no processor: its AL status is what AL control says, bit 4 included. Default: that of its
     /// model; a device without mailboxes has none.
     pub emulated: Option<bool>,

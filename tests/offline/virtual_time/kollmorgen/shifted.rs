@@ -3,7 +3,7 @@
 
 use fieldbeat::CyclePlan;
 use fieldbeat::axis::{Command, Link, StopCause};
-use fieldbeat::bus::ethercat::{EthercatPlan, Family, Watchdog};
+use fieldbeat::bus::ethercat::{EthercatPlan, Expected, Family, Watchdog};
 use fieldbeat::sim::ethercat::EthercatSegment;
 use fieldbeat::sim::{SimPlan, SimSegment, WorldOptions};
 use fieldbeat_ethercat::wire::frame::{Command as Frame, position};
@@ -42,7 +42,7 @@ fn machine(absent: usize, watched: bool) -> Machine {
 }
 
 /// The drives that turn while this axis alone shall turn.
-fn turning(machine: &mut Machine, axis: usize) -> Vec<usize> {
+fn turning(machine: &mut Machine, axis: usize, drives: usize) -> Vec<usize> {
     for command in [Command::Reset, Command::Enable] {
         machine.post(axis, command);
         machine.run(400);
@@ -51,7 +51,7 @@ fn turning(machine: &mut Machine, axis: usize) -> Vec<usize> {
     let _ = machine.sim.axis(axis).post(jog(1.0));
     machine.run(150);
     let turns = |place: &usize| machine.drive(*place, |drive| drive.rpm().abs() > 20.0);
-    let turning = (0..DRIVES).filter(turns).collect();
+    let turning = (0..drives).filter(turns).collect();
     let _ = machine.sim.axis(axis).post(super::STOP);
     machine.run(100);
     machine.post(axis, Command::Disable);
@@ -82,7 +82,7 @@ fn an_axis_moves_its_own_drive_or_none_whoever_is_taken_out_or_put_in() {
             machine.run(any.below(4_000));
             let mut moved = Vec::new();
             for axis in 0..AXES {
-                let turning = turning(&mut machine, axis);
+                let turning = turning(&mut machine, axis, DRIVES);
                 assert!(turning.len() <= 1, "seed {seed}, round {round}: axis {axis} turns {turning:?}");
                 // One that had no axis may have one now.
                 let is_own = turning.iter().all(|one| *one == own[axis] || *one == absent);
@@ -99,7 +99,7 @@ fn an_axis_moves_its_own_drive_or_none_whoever_is_taken_out_or_put_in() {
         });
         for (axis, place) in own.into_iter().enumerate() {
             machine.recover(axis);
-            assert_eq!(turning(&mut machine, axis), [place], "seed {seed}: {:?}", machine.feedback(axis));
+            assert_eq!(turning(&mut machine, axis, DRIVES), [place], "seed {seed}: {:?}", machine.feedback(axis));
         }
     }
 }
@@ -153,4 +153,54 @@ fn a_drive_that_is_taken_out_is_no_sign_of_another_master_whoever_stands_in_its_
     let remarks = machine.sim.remarks();
     assert!(!remarks.iter().any(|remark| remark.contains("another master")), "{remarks:?}");
     machine.recover(AXES - 1);
+}
+
+/// The cables of two drives are mixed up, or the drives are, while they or the master are off.
+#[test]
+fn two_equal_drives_that_were_exchanged_while_they_were_off_move_neither_axis() {
+    type Known = fn(&mut Expected, u16);
+    let by: [(&str, Known); 3] = [
+        ("serial number", |own, place| own.serial = Some(0x100 + u32::from(place))),
+        ("alias", |own, place| own.alias = Some(place)),
+        ("identification", |own, place| own.identification = Some(place)),
+    ];
+    for (what, known) in by {
+        let mut plan = plan(AXES as u16);
+        plan.drives.iter_mut().for_each(|drive| known(&mut drive.slave.identity, 1 + drive.slave.place));
+        let exchange = |machine: &Machine| {
+            machine.look(|line| line.segment().exchange(0, 1));
+            [0, 1].map(|place| machine.sim.world().restart_slave(LINE, place));
+        };
+        let mut machine = Machine::new(plan.clone());
+        machine.online();
+        machine.each(Command::Enable);
+        exchange(&machine);
+        machine.run(8_000);
+        for (axis, own) in [(0, &[][..]), (1, &[]), (2, &[2])] {
+            assert_eq!(turning(&mut machine, axis, AXES), own, "{what}: axis {axis}");
+        }
+        exchange(&machine);
+        machine.run(500);
+        machine.until("put back", 70_000, |machine| {
+            (0..AXES).all(|axis| machine.feedback(axis).link == Link::Online)
+        });
+        for axis in 0..AXES {
+            machine.recover(axis);
+            assert_eq!(turning(&mut machine, axis, AXES), [axis], "{what}");
+        }
+        // Before this master begins.
+        let mut machine = Machine::new(plan);
+        exchange(&machine);
+        machine.run(8_000);
+        for axis in 0..2 {
+            assert_eq!(turning(&mut machine, axis, AXES), [], "{what}: axis {axis}");
+        }
+        let end = machine.sim.finish();
+        for (axis, drive) in end.drives.iter().enumerate().take(2) {
+            let why = drive.not_connected.clone().unwrap_or_default();
+            let is_said = why.starts_with(&format!("place {axis}: its ")) && why.contains(what);
+            assert!(is_said && why.contains("drives or cables are exchanged"), "{why}");
+        }
+        assert_eq!(end.drives[2].not_connected, None);
+    }
 }

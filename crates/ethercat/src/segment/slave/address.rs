@@ -6,7 +6,7 @@
 //! other positions.
 
 use super::receive::al;
-use super::request::{CONTROL, EMULATION_AT, LOOK};
+use super::request::{ALIAS, CONTROL, EMULATION_AT, LOOK};
 use super::{Context, Happened, LOOK_EVERY_NS, Missing, Note, Pause, Slave, Step};
 use crate::slot::{Answer, Answers, Ask};
 use crate::wire::frame::{Command, position};
@@ -101,7 +101,8 @@ impl Slave {
         let (Some((status, code)), Some(emulation)) = (al(status), status.get(EMULATION_AT)) else {
             return Happened::Nothing;
         };
-        let Some(look) = look.data.first_chunk::<LOOK>() else { return Happened::Nothing };
+        let Some((look, behind)) = look.data.split_first_chunk::<LOOK>() else { return Happened::Nothing };
+        self.alias = behind.first_chunk::<ALIAS>().map_or(0, |bytes| u16::from_le_bytes(*bytes));
         self.emulated = emulation & 1 != 0;
         self.acknowledge = self.acknowledgement(status, code);
         (self.way.al, self.counted) = (status.state(), context.counted);

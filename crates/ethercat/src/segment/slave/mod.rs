@@ -6,7 +6,7 @@
 //! | `step` | its steps |
 //! | `request`, `receive` | the request of a step; the answer to it |
 //! | `address` | whether it is there, and its station address |
-//! | `identity` | its SII |
+//! | `identity` | who it is: its alias, its SII, its identification |
 //! | `objects` | what is written and read over its mailbox |
 //! | `found` | a drive that is in OP already |
 //! | `sync` | its clock and SYNC0 |
@@ -18,7 +18,7 @@
 //! |---|---|
 //! | look | whether it is there, its state, the features of its controller, its station address |
 //! | unmap | FMMUs of others, unless it is a drive that may move |
-//! | SII | taken from its processor, and given back: its identity, its buffers |
+//! | alias, SII, identification | who it is; the SII, with its buffers, is taken from its processor and given back |
 //! | INIT | down, whatever its state was; errors acknowledged |
 //! | clear | ports, FMMUs, SyncManagers and SYNC0 of others; station address, taken from whoever has it |
 //! | clock | delay and offset, as soon as the segment has a time for it |
@@ -181,6 +181,8 @@ pub struct Slave {
     features: Features,
     /// Its controller copies AL control to AL status: it has no errors, and an acknowledgement would become one.
     emulated: bool,
+    /// Its alias when it was looked at, where it matters.
+    alias: u16,
     /// What acknowledges the error that it showed when it was looked at.
     acknowledge: Option<AlStatus>,
     fmmus: u8,
@@ -265,6 +267,7 @@ impl Slave {
             way: Way::default(),
             features: Features::default(),
             emulated: false,
+            alias: 0,
             acknowledge: None,
             fmmus: 0,
             managers: 0,
@@ -467,6 +470,8 @@ impl Slave {
             | Step::There(_)
             | Step::Unmap(_)
             | Step::SiiForce
+            | Step::Identification
+            | Step::Identified { .. }
             | Step::Found
             | Step::FoundClock { .. }
             | Step::FoundFmmus

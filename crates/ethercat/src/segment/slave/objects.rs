@@ -185,7 +185,7 @@ mod tests {
             let is_there = matches!(slave.step, Step::State(Change { to: AlState::PreOp, .. }));
             assert_eq!(is_there, list < LISTS, "{:?}", slave.step);
         }
-        let text = slave.note().text(4).unwrap_or_default();
+        let text = slave.note().text(4, &plan.identity).unwrap_or_default();
         let start =
             "place 4: it does not answer within 2000 ms, 3 times in a row, when 0x1c12:1 is written: ";
         assert!(text.starts_with(start), "{text}");

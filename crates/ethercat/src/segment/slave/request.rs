@@ -13,6 +13,8 @@ use super::sync::{TIME, sync_ahead_ns};
 
 /// Bytes from its type to its station address.
 pub(super) const LOOK: usize = 0x12;
+/// Behind it: its alias.
+pub(super) const ALIAS: usize = 2;
 /// AL status and its code; and up to the bit of device emulation.
 pub(super) const AL_LOOK: usize = 6;
 pub(super) const EMULATION_AT: usize = (address::EMULATION - address::AL_STATUS) as usize;
@@ -51,7 +53,8 @@ impl Slave {
             Step::Refused(Pause { next, .. }) if now < next => {}
             Step::Look | Step::Refused(_) => {
                 ask.read(self.reads(address::AL_CONTROL), CONTROL + EMULATION_AT + 1);
-                ask.read(self.reads(address::TYPE), LOOK);
+                let alias = if self.plan.identity.alias.is_some() { ALIAS } else { 0 };
+                ask.read(self.reads(address::TYPE), LOOK + alias);
             }
             Step::Twin { station, .. } => {
                 ask.read(Command::Fprd(station, address::STATION), 2);
@@ -80,6 +83,8 @@ impl Slave {
             Step::Sii(reader) => {
                 reader.request(|register| self.reads(register), |register| self.writes(register), ask);
             }
+            Step::Identification => self.request_identification(ask),
+            Step::Identified { .. } => self.request_no_identification(ask),
             Step::Found => self.request_found(ask),
             Step::FoundFmmus => self.request_found_fmmus(ask),
             Step::Check { resumes, part } => self.request_check(resumes, part, ask),

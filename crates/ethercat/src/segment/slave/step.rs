@@ -36,6 +36,11 @@ pub(super) enum Step {
     SiiBack {
         refused: Note,
     },
+    /// It is asked for its identification, until it shows it; and the request is taken back. `refused`: as above.
+    Identification,
+    Identified {
+        refused: Note,
+    },
     /// A drive in OP: its SyncManagers and watchdog; after its station address and its power the time that it runs on,
     /// ...
     Found,

@@ -59,6 +59,33 @@ fn the_times_of_drives_found_running_are_kept_and_the_others_wait_where_they_are
             true,
         ),
         (
+            "another one of its kind by its serial number",
+            &[1],
+            None,
+            |plan, _| plan.drives[1].slave.identity.serial = Some(7),
+            &[Note::None, Note::Serial(0), Note::None],
+            true,
+        ),
+        (
+            "by its alias",
+            &[1],
+            None,
+            |plan, _| plan.drives[1].slave.identity.alias = Some(7),
+            &[Note::None, Note::Alias { found: 0, wanted: 7 }, Note::None],
+            true,
+        ),
+        (
+            "by its identification",
+            &[1],
+            None,
+            |plan, whole| {
+                plan.drives[1].slave.identity.identification = Some(7);
+                whole.plan.drives[1].slave.identity.identification = Some(8);
+            },
+            &[Note::None, Note::Identification { found: 8, wanted: 7 }, Note::None],
+            true,
+        ),
+        (
             "refused, and another one joined on another time",
             &[0, 1],
             Some(1),

@@ -192,7 +192,7 @@ fn a_slave_that_is_counted_and_not_read_is_named_as_such() {
     let mut rig = Rig::new(&drives(3));
     rig.mute = Some(2);
     rig.until("named", 500, |rig| rig.note(2) == Note::Unreachable(3));
-    assert!(rig.note(2).text(2).is_some_and(|text| text.contains("the segment has 3")));
+    assert!(rig.note(2).text(2, &Expected::default()).is_some_and(|text| text.contains("the segment has 3")));
     // With nobody there the broadcast counts nobody.
     rig.sim.cut(Some(2));
     rig.until("absent", 500, |rig| rig.note(2) == Note::Absent);

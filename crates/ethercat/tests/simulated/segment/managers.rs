@@ -85,7 +85,7 @@ fn a_refusal_names_the_watchdog_where_it_changes_the_control_byte() {
         assert_eq!(refused(0x24, Watchdog::AsDelivered, code), plain);
     }
     assert_eq!(
-        refused(0x64, Watchdog::Off, 0x1D).text(0).unwrap(),
+        refused(0x64, Watchdog::Off, 0x1D).text(0, &Expected::default()).unwrap(),
         "place 0: it refuses SAFEOP: AL status code 0x001d (invalid output configuration); probably for \
          watchdog, which makes the control byte of its outputs 0x24 where its SII has 0x64: leave watchdog \
          out"
@@ -108,7 +108,7 @@ fn what_does_not_read_back_is_named_whether_watchdog_or_sync_manager() {
     for manager in [2, 3] {
         let note = refused("SyncManagersCheck", address::sync_manager(manager), &[0; 8]);
         assert_eq!(note, Note::Manager(manager));
-        let text = note.text(0).unwrap();
+        let text = note.text(0, &Expected::default()).unwrap();
         assert!(text.contains(&format!("SyncManager {manager} does not read back")), "{text}");
     }
 }

@@ -106,3 +106,51 @@ fn eight_bytes_a_read_are_taken_and_save_time() {
     // Six reads of four bytes, four of eight; and the categories.
     assert!(cycles[1] + 30 < cycles[0], "{cycles:?}");
 }
+
+#[test]
+fn a_slave_is_known_by_what_it_says_of_itself_before_anything_of_it_is_set() {
+    // The expected numbers, those that it has, how its AL status shows an error, and what is said of it.
+    let expected =
+        |serial, alias, identification| Expected { serial, alias, identification, ..Expected::default() };
+    for (expected, there, left, note) in [
+        (expected(Some(5), None, None), (5, 0, None), false, Note::None),
+        (expected(Some(5), None, None), (6, 0, None), false, Note::Serial(6)),
+        (expected(None, Some(5), None), (0, 5, None), false, Note::None),
+        (expected(None, Some(5), None), (0, 0, None), false, Note::Alias { found: 0, wanted: 5 }),
+        (expected(None, Some(0), None), (0, 5, None), false, Note::Alias { found: 5, wanted: 0 }),
+        (expected(None, None, Some(5)), (0, 0, Some(5)), false, Note::None),
+        // An error that another master has left is acknowledged with the request.
+        (expected(None, None, Some(5)), (0, 0, Some(5)), true, Note::None),
+        (expected(None, None, Some(5)), (0, 0, Some(0)), true, Note::Identification { found: 0, wanted: 5 }),
+        (expected(None, None, Some(5)), (0, 0, None), false, Note::NoIdentification),
+        (expected(Some(5), Some(6), Some(7)), (5, 6, Some(7)), false, Note::None),
+        (
+            expected(Some(5), Some(6), Some(7)),
+            (5, 6, Some(8)),
+            false,
+            Note::Identification { found: 8, wanted: 7 },
+        ),
+    ] {
+        for check_sii in [true, false] {
+            let mut plan = drives(1);
+            let mut whole = EthercatSegment::from(&plan);
+            let (serial, alias, identification) = there;
+            whole.drives[0].serial = serial;
+            let left = left.then(|| ethercat::Left::by_another(0, (0x14, 0x001B)));
+            let own =
+                ethercat::SlaveSettings { alias: Some(alias), identification, left, ..Default::default() };
+            whole.settings.slaves.insert(0, own);
+            plan.drives[0].slave.identity = expected;
+            plan.drives[0].slave.check_sii = check_sii;
+            let mut rig = Rig::on(&plan, whole);
+            rig.run(4_000);
+            assert_eq!(rig.note(0), note, "{expected:?} {there:?}");
+            let is_up = rig.line.is_operational(0);
+            assert_eq!(is_up, note == Note::None, "{expected:?} {there:?}");
+            // Neither its state nor its address was set before.
+            let station = rig.peek(0, address::STATION, 2);
+            let own = FIRST_STATION.to_le_bytes();
+            assert_eq!(station == own, is_up, "{expected:?} {there:?}: {station:?}");
+        }
+    }
+}

@@ -28,6 +28,13 @@ pub(super) fn slave(table: &mut Table<'_>, place: u16, names: &Names<'_>, device
     let left = table.word("left", &words);
     SlaveSettings {
         model: device.then(|| table.word("type", &Model::ALL)).flatten(),
+        serial: device.then(|| table.integer("serial", 0..=u32::MAX.into(), "the serial number")).flatten(),
+        alias: table.integer("alias", 0..=u16::MAX.into(), "the configured station alias; 0: none"),
+        identification: table.integer(
+            "identification",
+            0..=u16::MAX.into(),
+            "what it answers to a request for its identification",
+        ),
         emulated: table.flag("emulated"),
         exact_managers: table.flag("exact_managers").unwrap_or_default(),
         output_control: table.integer(
