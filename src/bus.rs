@@ -81,9 +81,9 @@ pub mod ethernet_ip {
     pub use fieldbeat_ethernet_ip::status;
     #[doc(inline)]
     pub use fieldbeat_ethernet_ip::{
-        Access, Condition, Delivery, EnableInput, EthernetIpPlan, Explicit, Homing, HomingMethod, IO_PORT,
-        Inputs, IoCode, Layout, Letters, MoonsDrive, Native, NativeInputs, NativeOutput, NativeProfile,
-        NoIoCode, Originator, Outputs, PORT, PROTOCOL, Version, Watchdog,
+        Access, Condition, Delivery, EnableInput, EthernetIpPlan, Expected, Explicit, Homing, HomingMethod,
+        IO_PORT, Inputs, IoCode, Layout, Letters, MoonsDrive, Native, NativeInputs, NativeOutput,
+        NativeProfile, NoIoCode, Originator, Outputs, PORT, PROTOCOL, Version, Watchdog,
     };
 }
 

@@ -3,13 +3,16 @@
 use std::net::SocketAddrV4;
 
 use super::plan::{
-    Access, Delivery, EthernetIpPlan, Explicit, Homing, HomingMethod, IO_PORT, Layout, MOST_PER_REV,
-    MULTIPLIER_MAX, MoonsDrive, RPI_RANGE_NS, Version, WATCHDOG_MAX_NS,
+    Access, Delivery, EthernetIpPlan, Expected, Explicit, Homing, HomingMethod, IO_PORT, Layout,
+    MOST_PER_REV, MULTIPLIER_MAX, MoonsDrive, RPI_RANGE_NS, Version, WATCHDOG_MAX_NS,
 };
 use super::wire::assembly::IoCode;
 use super::wire::cip::Configuration;
 use fieldbeat_core::axis::{HeldBy, Load, PlanFault};
 use fieldbeat_core::time::{Ns, S, US};
+
+/// Of [`Expected::VENDOR`].
+pub(super) const VENDOR_NAME: &str = "Applied Motion Products";
 
 const NOTHING_STOPS: &str =
     "nothing stops the drive: a move runs to its target and a jog runs on (watchdog = \"off\")";
@@ -316,6 +319,7 @@ impl MoonsDrive {
     /// What `check` says of it beyond its axis; the first line is its address.
     pub fn describe(&self, bind: SocketAddrV4, period_ns: u64) -> String {
         let mut lines = vec![format!("{bind} -> {}", self.address)];
+        lines.push(self.expected.describe());
         lines.push(self.describe_connection());
         lines.push(self.describe_intervals(period_ns));
         if self.takes_commands() {
@@ -424,6 +428,34 @@ impl MoonsDrive {
              the manual reads them{held}",
             Ns(within_ns)
         )
+    }
+}
+
+impl Expected {
+    /// By what a drive is known.
+    fn describe(&self) -> String {
+        let Expected { vendor, product, serial } = *self;
+        let kind = match (vendor, product) {
+            (None, None) => {
+                "any device that answers there is commanded (vendor = \"any\"): no electronic key".to_owned()
+            }
+            _ => {
+                let vendor = match vendor {
+                    Some(Expected::VENDOR) => format!("vendor {} ({VENDOR_NAME})", Expected::VENDOR),
+                    Some(other) => format!("vendor {other}"),
+                    None => "any vendor".to_owned(),
+                };
+                let product = product.map_or("any product".into(), |product| format!("product {product}"));
+                format!("has to be {vendor}, {product}: the electronic key of each opening")
+            }
+        };
+        match serial {
+            Some(serial) => format!("{kind}; known by its serial number {serial:#010x}"),
+            None => format!(
+                "{kind}; known by its address only: an equal drive there is taken for it (serial; fieldbeat \
+                 pin)"
+            ),
+        }
     }
 }
 

@@ -12,7 +12,7 @@ use std::net::{Ipv4Addr, SocketAddrV4};
 use super::PROTOCOL;
 use super::check::{CONFIGURATION_MAX, INPUT_MAX, STEPS_MAX};
 use super::plan::{
-    Access, Delivery, EnableInput, EthernetIpPlan, Explicit, Homing, HomingMethod, IO_PORT, Layout,
+    Access, Delivery, EnableInput, EthernetIpPlan, Expected, Explicit, Homing, HomingMethod, IO_PORT, Layout,
     MoonsDrive, Originator, PORT, RPI_RANGE_NS, Version, WATCHDOG_MAX_NS, Watchdog,
 };
 use super::wire::assembly::IoCode;
@@ -114,6 +114,7 @@ fn drive(table: &mut Table<'_>, machine: &mut Machine, bind: Option<SocketAddrV4
         axis,
         steps_per_revolution: steps,
         address,
+        expected: expected(table, default.expected),
         connection,
         cyclic: default.cyclic,
         version: table.word("version", &[("v1", Version::V1), ("v2", Version::V2)]),
@@ -182,6 +183,16 @@ fn drive(table: &mut Table<'_>, machine: &mut Machine, bind: Option<SocketAddrV4
         table.fault(fault.key, fault.message);
     }
     drive
+}
+
+/// What the file leaves out is as in `default`.
+fn expected(table: &mut Table<'_>, default: Expected) -> Expected {
+    let device = "a number that fieldbeat ethernet-ip scan shows; or \"any\" for whatever answers there";
+    Expected {
+        vendor: table.integer_or_any("vendor", 1..=0xFFFF, device).unwrap_or(default.vendor),
+        product: table.integer_or_any("product", 1..=0xFFFF, device).unwrap_or(default.product),
+        serial: table.integer_or_any("serial", 0..=0xFFFF_FFFF, device).unwrap_or(default.serial),
+    }
 }
 
 /// Who listens only gets packets of a group.

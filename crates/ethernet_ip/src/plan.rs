@@ -67,6 +67,8 @@ pub struct MoonsDrive {
     pub steps_per_revolution: f64,
     /// Where it takes sessions.
     pub address: SocketAddrV4,
+    /// Which device has to be there.
+    pub expected: Expected,
     /// What the connection may do.
     pub connection: Access,
     /// It has a class 1 connection. Without one there are explicit messages only: they need none, and own nothing.
@@ -111,6 +113,33 @@ pub struct MoonsDrive {
     pub encoder_counts_per_step: f64,
     /// Jogs are taken: the drive's own watchdog ends them if the master dies.
     pub jog: bool,
+}
+
+/// Which device has to be at the address of a drive; what is left out may be any. It is compared with its identity
+/// object in each session, before a connection is opened; vendor and product go with each opening, too, as an electronic
+/// key.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Expected {
+    /// Its vendor.
+    pub vendor: Option<u16>,
+    /// Its product code.
+    pub product: Option<u16>,
+    /// Its serial number.
+    pub serial: Option<u32>,
+}
+
+/// That of a drive of this type.
+impl Default for Expected {
+    fn default() -> Expected {
+        Expected { vendor: Some(Expected::VENDOR), ..Expected::ANY }
+    }
+}
+
+impl Expected {
+    /// Applied Motion Products: that MOONS' units report it is inferred.
+    pub const VENDOR: u16 = 60;
+    /// Whatever answers there.
+    pub const ANY: Expected = Expected { vendor: None, product: None, serial: None };
 }
 
 /// How the packets of a drive come.
@@ -249,6 +278,7 @@ impl MoonsDrive {
             axis: AxisPlan::new(name, units),
             steps_per_revolution: MoonsDrive::STEPS_PER_REVOLUTION,
             address: SocketAddrV4::new(address, PORT),
+            expected: Expected::default(),
             connection: Access::Owner,
             cyclic: true,
             version: None,

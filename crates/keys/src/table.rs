@@ -217,6 +217,25 @@ impl<'a> Table<'a> {
         })
     }
 
+    /// A whole number, or `"any"`: then `Some(None)`.
+    pub fn integer_or_any<T: TryFrom<i128>>(
+        &mut self,
+        key: &'static str,
+        range: impl RangeBounds<i128>,
+        hint: &str,
+    ) -> Option<Option<T>> {
+        let form = Form::Integer(Range::of(&range, |bound| bound as f64)).or(Form::word("any"));
+        self.read(key, form, |value| {
+            if value.as_str() == Some("any") {
+                return Ok(None);
+            }
+            let number =
+                integer(value).ok_or_else(|| format!("must be a whole number, or \"any\"; {hint}"))?;
+            inside(number, &range, hint, |bound| bound)?;
+            T::try_from(number).map(Some).map_err(|_| format!("is out of range; {hint}"))
+        })
+    }
+
     /// A count, or the time that so many of what comes every `every_ns` take, rounded up.
     pub fn count<T: TryFrom<i128>>(
         &mut self,

@@ -8,7 +8,7 @@ use std::process::Command;
 
 use fieldbeat::Master;
 use fieldbeat::axis::{Axis, Command as Post, Move, ParameterError, Profile, State, Target};
-use fieldbeat::bus::ethernet_ip::{Explicit, Version};
+use fieldbeat::bus::ethernet_ip::{Expected, Explicit, Version};
 use fieldbeat::telemetry::Counters;
 use serde_json::Value;
 
@@ -87,7 +87,7 @@ fn exchange(test: u8, explicit: Explicit) {
     let mut adapter = adapter(&machine);
     inputs(&mut adapter, 0, 10_000);
     let mut drive = drive("m", machine.ip(11));
-    (drive.version, drive.explicit) = (Some(Version::V2), explicit);
+    (drive.version, drive.explicit, drive.expected) = (Some(Version::V2), explicit, Expected::ANY);
     let master = Master::from_plan(plan(machine.ip(1), vec![drive])).start().unwrap();
     let mut axis = master.axis("m").unwrap();
     axis.wait_online(LONG).unwrap();
@@ -156,7 +156,7 @@ fn a_running_master_names_an_adapter_that_dies_and_opens_it_again_by_another_ser
     let config = format!(
         "[cycle]\nperiod = \"2ms\"\nreceive_deadline = 0.8\nmax_skip = \"30s\"\nmax_skip_rate = 1.0\n\
          realtime = \"off\"\n[[bus]]\nprotocol = \"ethernet-ip\"\nbind = \"{}\"\n\
-         [[bus.drive]]\nname = \"m\"\naddress = \"{}\"\nversion = \"v2\"\ndivisor = 5\n\
+         [[bus.drive]]\nname = \"m\"\naddress = \"{}\"\nversion = \"v2\"\nvendor = \"any\"\ndivisor = 5\n\
          fresh_within = \"500ms\"\nfirst_within = \"20s\"\nhealth = {{ bucket = \"1s\", leak = 1 }}\n\
          limits = {{ position = [-2, 60], velocity = 20, acceleration = 200 }}\n",
         machine.ip(1),

@@ -49,7 +49,17 @@ fn search(known: &Known<'_>, _: &[SocketAddrV4], goes_on: &dyn Fn() -> bool) -> 
 fn found(device: &Device) -> Found {
     let (ip, name) = (device.from.ip(), device.name.trim());
     match vendor(device.vendor) {
-        Some(_) => Found { what: format!("{name} at {ip}"), lines: vec![("address", ip.to_string())] },
+        Some(_) => {
+            let mut lines = vec![("address", ip.to_string())];
+            // 0 is no number.
+            if device.product != 0 {
+                lines.push(("product", device.product.to_string()));
+            }
+            if device.serial != 0 {
+                lines.push(("serial", format!("{:#010x}", device.serial)));
+            }
+            Found { what: format!("{name} at {ip}"), lines }
+        }
         None => {
             let what = format!("{name} at {ip}, vendor {}: none of these drives", device.vendor);
             Found { what, lines: Vec::new() }
@@ -65,7 +75,8 @@ mod tests {
     #[test]
     fn only_devices_of_the_vendor_are_drives() {
         let mut device = specimen();
-        assert_eq!(found(&device).lines, [("address", "192.168.1.40".to_owned())]);
+        let known = [("address", "192.168.1.40"), ("product", "176"), ("serial", "0x00c0ffee")];
+        assert_eq!(found(&device).lines, known.map(|(key, value)| (key, value.to_owned())));
         assert_eq!(found(&device).what, "STF05-IP at 192.168.1.40");
         device.vendor = 1;
         assert_eq!(found(&device).lines, []);

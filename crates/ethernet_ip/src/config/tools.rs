@@ -7,7 +7,8 @@ use clap::{Args, Subcommand};
 use serde_json::{Value, json};
 
 use super::scan::{Device, ScanError, Targets, scan};
-use crate::plan::PORT;
+use crate::check::VENDOR_NAME;
+use crate::plan::{Expected, PORT};
 use fieldbeat_keys::value::station;
 use fieldbeat_tools::{Program, Stop, Tool, arguments, table};
 
@@ -122,7 +123,7 @@ fn row(device: &Device) -> [String; 8] {
 
 /// The vendors of these drives.
 pub(super) fn vendor(number: u16) -> Option<&'static str> {
-    (number == 60).then_some("Applied Motion Products")
+    (number == Expected::VENDOR).then_some(VENDOR_NAME)
 }
 
 /// The state of a device (EtherNet/IP, volume 2, ListIdentity).

@@ -150,7 +150,7 @@ impl Session {
         }
         match pending.what {
             What::Register | What::Probe => {}
-            What::Identity => self.identified(now, &reply, out),
+            What::Identity => self.identified(now, &reply, out)?,
             What::Profile => self.profiled(&reply)?,
             What::Homed(register) => {
                 let answer = Immediate::ReadRegister(register).answer(reply.data).ok();
@@ -208,9 +208,19 @@ impl Session {
         }
     }
 
-    fn identified(&mut self, now: Time, reply: &Reply<'_>, out: &mut Vec<u8>) {
-        if let Some(identity) = Identity::parse(reply.data).filter(|_| reply.status.is_ok()) {
+    fn identified(&mut self, now: Time, reply: &Reply<'_>, out: &mut Vec<u8>) -> Result<(), String> {
+        let identity = Identity::parse(reply.data).filter(|_| reply.status.is_ok());
+        if let Some(identity) = identity {
             self.device = format!("{} of vendor {}", long::text(identity.name), identity.vendor);
+        }
+        let expected = &self.drive.expected;
+        let another = match identity {
+            Some(identity) => words::another(&self.device, &identity, expected),
+            // Vendor and product it compares itself, by the key.
+            None => expected.serial.map(words::no_serial),
+        };
+        if let Some(why) = another.filter(|_| self.life == Life::Serving) {
+            return Err(why);
         }
         // For the orderly end it does not matter what the drive is.
         if self.drive.version.is_some() || self.life != Life::Serving {
@@ -218,6 +228,7 @@ impl Session {
         } else {
             self.request_profile(now, out);
         }
+        Ok(())
     }
 
     fn profiled(&mut self, reply: &Reply<'_>) -> Result<(), String> {

@@ -4,8 +4,8 @@ use std::net::{Ipv4Addr, SocketAddrV4};
 
 use super::{ANSWER_NS, Connected, Io, Open, Pending, Session, Way, What};
 use crate::exchange::Outputs;
-use crate::plan::{Access, Delivery, IO_PORT, Originator, Version};
-use crate::wire::cip::{self, Configuration, Segment, class, service};
+use crate::plan::{Access, Delivery, Expected, IO_PORT, Originator, Version};
+use crate::wire::cip::{self, Configuration, Key, Segment, class, service};
 use crate::wire::connection::{Direction, ForwardOpen, Route, Target, Triad, incoming_size};
 use crate::wire::message::{self, Immediate};
 use crate::wire::{encapsulation, io};
@@ -142,6 +142,13 @@ impl Session {
         u32::from(self.index) << 16 | u32::from(triad.serial)
     }
 
+    /// What a device compares itself before it opens a connection. It is none if it may be any.
+    fn key(&self) -> Option<Key> {
+        let Expected { vendor, product, .. } = self.drive.expected;
+        let key = Key { vendor: vendor.unwrap_or(0), product_code: product.unwrap_or(0), ..Key::default() };
+        (key != Key::default()).then_some(key)
+    }
+
     /// Opens the class 1 connection.
     pub(super) fn open(&mut self, now: Time, out: &mut Vec<u8>, version: Version) {
         let access = self.access(version);
@@ -170,7 +177,7 @@ impl Session {
                 incoming_size(version),
                 route,
             ),
-            key: None,
+            key: self.key(),
             target: Target::assemblies(access, version, self.form.configuration()),
             large: self.form.is_large(),
         };
@@ -196,7 +203,7 @@ impl Session {
             multiplier: CONNECTED_MULTIPLIER,
             outgoing: direction,
             incoming: direction,
-            key: None,
+            key: self.key(),
             target: Target::Messages,
             large: false,
         };

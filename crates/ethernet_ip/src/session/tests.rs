@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use super::*;
 use crate::exchange::{Connection, LoopEnd, both};
-use crate::plan::{Delivery, Layout};
+use crate::plan::{Delivery, Expected, Layout};
 use crate::target;
 use crate::wire::tests::hex;
 use fieldbeat_core::axis::acyclic::Acyclic;
@@ -120,7 +120,9 @@ impl Bench {
     }
 
     fn with_groups(change: impl FnOnce(&mut EthernetIpPlan), groups: Option<Arc<dyn Groups>>) -> Bench {
-        let drives = [Ipv4Addr::new(10, 0, 0, 39), DRIVE].map(|ip| MoonsDrive::new("x", ip)).into();
+        let drives = [Ipv4Addr::new(10, 0, 0, 39), DRIVE]
+            .map(|ip| MoonsDrive { expected: Expected::ANY, ..MoonsDrive::new("x", ip) })
+            .into();
         let mut plan = EthernetIpPlan::new(Ipv4Addr::new(10, 0, 0, 1), drives);
         plan.originator = Originator { vendor: 0x1234, serial: 0x00C0_FFEE };
         change(&mut plan);

@@ -1,7 +1,9 @@
 //! Why a drive has no connection, in words: each with its remedy.
 
+use crate::plan::Expected;
 use crate::wire::cip::Status;
 use crate::wire::connection::ConnectionError;
+use crate::wire::encapsulation::Identity;
 use fieldbeat_core::time::Ns;
 
 /// The remedy for a refused opening.
@@ -28,8 +30,16 @@ fn remedy(status: &Status) -> &'static str {
         Some(Status::RPI | 0x0112 | 0x011B) => "look at `divisor`, `input_rpi` and the period of the cycle",
         Some(0x0113 | 0x011A) => "end other controllers and tools that are connected to the drive",
         Some(0x0123 | 0x0124 | 0x0813) => "look at `delivery`",
+        Some(0x0114 | 0x0115) => {
+            "drives or cables are exchanged: put them back, or correct vendor and product (\"any\": whatever \
+             answers there)"
+        }
+        Some(0x0315) => {
+            "the drive may not have these assemblies: look at `version`; or it takes no electronic key: \
+             vendor = \"any\" and product = \"any\" leave that out"
+        }
         Some(0x0133) => "look at `timeout_multiplier`",
-        Some(0x0117 | 0x012A | 0x012B | 0x012F | 0x0315) => {
+        Some(0x0117 | 0x012A | 0x012B | 0x012F) => {
             "the drive may not have these assemblies: look at `version`"
         }
         _ => "look at the drive's manual",
@@ -78,6 +88,29 @@ pub(super) fn silent(what: &str, waited_ns: u64, unmatched: u64) -> String {
         count => format!("; {count} messages that answer no request were dropped"),
     };
     format!("the drive does not answer {what} within {}{dropped}", Ns(waited_ns))
+}
+
+/// It is another device than the expected one.
+pub(super) fn another(device: &str, found: &Identity<'_>, expected: &Expected) -> Option<String> {
+    fn differing<T: PartialEq>(expected: Option<T>, found: T, show: fn(&T) -> String) -> Option<[String; 2]> {
+        expected.filter(|expected| *expected != found).map(|expected| [show(&found), show(&expected)])
+    }
+    let Expected { vendor, product, serial } = *expected;
+    let parts = [
+        ("vendor", differing(vendor, found.vendor, u16::to_string)),
+        ("product", differing(product, found.product_code, u16::to_string)),
+        ("serial", differing(serial, found.serial, |serial| format!("{serial:#010x}"))),
+    ];
+    let (key, [found, expected]) = parts.into_iter().find_map(|(key, part)| Some((key, part?)))?;
+    Some(format!(
+        "{device} is there, whose {key} is {found}, not {expected}: drives or cables are exchanged: put them \
+         back, or correct {key} for another drive (\"any\": whatever answers there)"
+    ))
+}
+
+/// It does not say which one it is.
+pub(super) fn no_serial(expected: u32) -> String {
+    format!("the drive does not report its serial number, which has to be {expected:#010x}: leave serial out")
 }
 
 /// It has no profile code.

@@ -51,7 +51,14 @@ fn settings(table: &mut Table<'_>, drive: &MoonsDrive, period_ns: u64, index: us
 fn identity(table: &mut Table<'_>, default: IdentitySettings) -> IdentitySettings {
     let kind = table.word("model", &[("STF", Kind::Stepper), ("SSDC", Kind::StepServo)]);
     let name = if kind == Some(Kind::StepServo) { "SSDC10-IP".into() } else { default.name };
-    IdentitySettings { kind: kind.unwrap_or(default.kind), name, ..default }
+    IdentitySettings {
+        vendor: table.integer("vendor", 0..=0xFFFF, "the number of its vendor").unwrap_or(default.vendor),
+        product: table.integer("product", 0..=0xFFFF, "its product code").unwrap_or(default.product),
+        serial: table.integer("serial", 0..=0xFFFF_FFFF, "its serial number").or(default.serial),
+        kind: kind.unwrap_or(default.kind),
+        name,
+        ..default
+    }
 }
 
 fn network(table: &mut Table<'_>, default: NetworkSettings) -> NetworkSettings {

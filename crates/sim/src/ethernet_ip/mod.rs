@@ -70,7 +70,7 @@ use self::connections::IO_PORT;
 use self::drive::Drive;
 use crate::{Carrier, FaultPlan, SimBus, SimDrive, Simulated, Truth};
 use fieldbeat_core::time::Time;
-use fieldbeat_ethernet_ip::plan::{EthernetIpPlan, MoonsDrive, Version};
+use fieldbeat_ethernet_ip::plan::{EthernetIpPlan, Expected, MoonsDrive, Version};
 
 /// The numbers of its sockets: sessions, class 1 packets, discovery.
 const PACKETS: usize = 1;
@@ -95,7 +95,7 @@ impl SimBus for MoonsDrives {
 }
 
 impl MoonsSettings {
-    /// A drive with default settings at the address of `drive`, wired as that one expects it: steps of a revolution,
+    /// A drive with default settings at the address of `drive`, wired as that one expects it: identity, steps of a revolution,
     /// encoder, layout, version, enable input, and a home switch half way along its homing.
     pub fn of(drive: &MoonsDrive) -> MoonsSettings {
         let mut settings = MoonsSettings::new(drive.address);
@@ -103,6 +103,11 @@ impl MoonsSettings {
         if (1.0..=131_070.0).contains(&steps) {
             settings.motor.steps = steps as u32;
         }
+        let Expected { vendor, product, serial } = drive.expected;
+        let identity = &mut settings.identity;
+        identity.vendor = vendor.unwrap_or(identity.vendor);
+        identity.product = product.unwrap_or(identity.product);
+        identity.serial = serial;
         settings.motor.encoder = drive.encoder.then_some(drive.encoder_counts_per_step);
         settings.firmware.layout = drive.layout;
         if drive.version == Some(Version::V1) {

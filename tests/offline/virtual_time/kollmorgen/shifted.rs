@@ -99,7 +99,12 @@ fn an_axis_moves_its_own_drive_or_none_whoever_is_taken_out_or_put_in() {
         });
         for (axis, place) in own.into_iter().enumerate() {
             machine.recover(axis);
-            assert_eq!(turning(&mut machine, axis, DRIVES), [place], "seed {seed}: {:?}", machine.feedback(axis));
+            assert_eq!(
+                turning(&mut machine, axis, DRIVES),
+                [place],
+                "seed {seed}: {:?}",
+                machine.feedback(axis)
+            );
         }
     }
 }

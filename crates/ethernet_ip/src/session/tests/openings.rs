@@ -360,3 +360,55 @@ fn a_session_that_is_refused_not_answered_or_no_session_ends_the_connection() {
         assert!(bench.failed().ends_with("within 1 s; 1 messages that answer no request were dropped"));
     }
 }
+
+#[test]
+fn another_device_than_the_expected_one_gets_no_connection() {
+    let (of_type, any) = (Expected::default(), Expected::ANY);
+    let (vendor, product, serial) = (Some(60), Some(0xB0), Some(7));
+    // What is expected, the electronic key in the opening, and why there is none.
+    for (expected, key, why) in [
+        (any, "", ""),
+        (of_type, "34 04 3C 00 00 00 00 00 00 00", ""),
+        (Expected { product, serial, ..of_type }, "34 04 3C 00 00 00 B0 00 00 00", ""),
+        (Expected { product, ..any }, "34 04 00 00 00 00 B0 00 00 00", ""),
+        // Its number is in no key.
+        (Expected { serial, ..any }, "", ""),
+        (
+            Expected { vendor: Some(61), ..any },
+            "",
+            "whose vendor is 60, not 61: drives or cables are exchanged",
+        ),
+        (
+            Expected { vendor, product: Some(1), serial },
+            "",
+            "STF05-IP of vendor 60 is there, whose product is 176",
+        ),
+        (Expected { serial: Some(8), ..any }, "", "whose serial is 0x00000007, not 0x00000008"),
+    ] {
+        let mut bench =
+            Bench::of_drive(|drive| (drive.expected, drive.version) = (expected, Some(Version::V2)));
+        bench.begin();
+        bench.trade(IDENTIFY, IDENTITY_REPLY);
+        if why.is_empty() {
+            let words = if key.is_empty() { "01 04" } else { "01 09" };
+            let path = format!("{words} {key} 20 04 24 66");
+            bench.request(&open(1).replace("01 04 20 04 24 66", &path));
+        } else {
+            assert!(bench.failed().contains(why), "{}", bench.failed());
+            bench.silence();
+        }
+    }
+    // One that does not say it compares the key itself.
+    let mut bench = Bench::of_drive(|drive| drive.version = Some(Version::V2));
+    bench.begin();
+    bench.trade(IDENTIFY, "81 00 08 00");
+    let mut bench = Bench::of_drive(|drive| drive.expected.serial = serial);
+    bench.begin();
+    bench.trade(IDENTIFY, "81 00 08 00");
+    assert!(bench.failed().contains("does not report its serial number"), "{}", bench.failed());
+    bench.silence();
+    let mut bench = Bench::registered(|drive| drive.expected = of_type);
+    let keyed = open(1).replace("01 04 20 04", "01 09 34 04 3C 00 00 00 00 00 00 00 20 04");
+    bench.trade(&keyed, &refused(1, "01 01 14 01"));
+    bench.says("(0x0114); drives or cables are exchanged");
+}
