@@ -147,6 +147,7 @@ impl UnidriveDrive {
             Some(bind) => format!("{bind} -> {}", self.address),
             None => self.address.to_string(),
         }];
+        lines.push(self.describe_serial());
         lines.extend(self.describe_exchange(every));
         lines.push(
             match self.functions {
@@ -181,6 +182,18 @@ impl UnidriveDrive {
         }
         lines.push(format!("if the master dies: {}", self.describe_death()));
         lines.join("\n")
+    }
+
+    /// By what it is known.
+    fn describe_serial(&self) -> String {
+        let [low, high] = self.serial_from;
+        match self.serial {
+            Some(serial) => format!(
+                "known by its serial number {serial} (Pr {low} and {high}, read before anything is written)"
+            ),
+            None => "known by its address only: an equal drive there is taken for it (serial; fieldbeat pin)"
+                .to_owned(),
+        }
     }
 
     /// Which blocks go with a request.

@@ -64,6 +64,14 @@ fn drive(table: &mut Table<'_>, machine: &mut Machine, bind: Option<Ipv4Addr>) -
     let mut drive = UnidriveDrive {
         axis,
         address,
+        serial: table
+            .integer_or_any(
+                "serial",
+                0..=UnidriveDrive::SERIAL_MAX.into(),
+                "the serial number that fieldbeat pin shows",
+            )
+            .unwrap_or(default.serial),
+        serial_from: serial_from(table).unwrap_or(default.serial_from),
         unit: table.integer(
             "unit",
             0..=255,
@@ -250,6 +258,22 @@ impl Size {
         let decimals = self.decimals.or(known.map(|known| known.decimals)).unwrap_or(0);
         Ok(Mapped { parameter, width, decimals })
     }
+}
+
+/// The two parameters with a serial number.
+fn serial_from(table: &mut Table<'_>) -> Option<[Parameter; 2]> {
+    table.read("serial_from", Form::Text(None).list(2, 2), |value| {
+        let array = value.as_array().filter(|array| array.len() == 2);
+        let array = array.ok_or("must be two parameters like [\"11.052\", \"11.053\"]")?;
+        let one = |index: usize| {
+            array
+                .get(index)
+                .and_then(|value| value.get_ref().as_str())
+                .ok_or(FORMS.to_owned())
+                .and_then(parameter)
+        };
+        Ok([one(0)?, one(1)?])
+    })
 }
 
 /// `"direct"`, `"menu-0"`, or `{ menu_0 = 11 }`: from that place on.

@@ -1,7 +1,7 @@
 //! The handshake on a new connection before the loop gets it: it reads what the drive is and does. On a normal
 //! thread, one request after the other.
 //!
-//! It reads the unit id, every cyclic parameter, and the drive's control source and watchdog, all by FC03. Whether
+//! It reads the unit id, the serial number if that is configured, every cyclic parameter, and the drive's control source and watchdog, all by FC03. Whether
 //! the drive has FC23 is shown by the first exchange that writes: a server may ignore a request that is only made
 //! to find out, or close on it. It writes only the set-up of menu 0, and that only to a drive that does not run.
 //! The settings that make the drive follow the control word are written by the station, with the first command that
@@ -14,7 +14,7 @@ use super::mapping::{Block, Image, Mapping, Role};
 use super::parameter::{DRIVE_UNIT, Parameter, Width};
 use super::plan::UnidriveDrive;
 use super::setup::{Purpose, Setting, settings};
-use super::wire::{ADU_MAX, Header, RegistersBuffer, Request, Response, frame};
+use super::wire::{ADU_MAX, ExceptionCode, Header, RegistersBuffer, Request, Response, frame};
 use super::words::{ControlWord, StatusWord};
 use fieldbeat_core::inputs::InputLog;
 use fieldbeat_core::net::{Handshake, HandshakeState};
@@ -80,6 +80,8 @@ impl Found {
 enum Step {
     /// Which unit id answers.
     Unit,
+    /// This part of its serial number.
+    Serial(usize),
     /// Whether this block exists, and its values.
     Look(usize),
     /// The value of this setting.
@@ -107,6 +109,8 @@ pub(super) struct UnidriveHandshake {
     unit: usize,
     step: Step,
     transaction: u16,
+    /// The lower part of its serial number.
+    serial: u64,
     image: Image,
     settings: Vec<Setting>,
     /// The drive's value of each setting.
@@ -133,6 +137,7 @@ impl UnidriveHandshake {
             finding: Finding::default(),
             step: Step::Unit,
             transaction: 0,
+            serial: 0,
             image: Image::default(),
             inbox: Vec::with_capacity(ADU_MAX),
         }
@@ -142,7 +147,7 @@ impl UnidriveHandshake {
     /// the time limit of a reply.
     pub(super) fn longest_ns(&self) -> u64 {
         let menu_0 = self.settings.iter().filter(|setting| setting.purpose == Purpose::Menu0).count();
-        let requests = 3 + self.direct.reads().len() + self.settings.len() + 2 * menu_0;
+        let requests = 5 + self.direct.reads().len() + self.settings.len() + 2 * menu_0;
         S + requests as u64 * self.drive.reply_within_ns
     }
 
@@ -161,6 +166,9 @@ impl UnidriveHandshake {
         let drive_unit = self.units[self.unit.min(self.units.len() - 1)];
         let request = match self.step {
             Step::Unit => read(self.drive.map.status.parameter, self.drive.map.status.width),
+            Step::Serial(part) => {
+                self.drive.serial_from.get(part).and_then(|parameter| read(*parameter, Width::Long))
+            }
             Step::Look(index) => self.direct.reads().get(index).map(|block| (block.first, look(block))),
             Step::Menu0 => self
                 .menu_0
@@ -207,7 +215,19 @@ impl UnidriveHandshake {
             }
             (Step::Unit, None) => {
                 self.finding.unit = self.units[self.unit];
-                Some(Step::Look(0))
+                Some(if self.drive.serial.is_some() { Step::Serial(0) } else { Step::Look(0) })
+            }
+            (Step::Serial(part), _) => {
+                let value = values.and_then(|data| data.long(0)).and_then(|value| u64::try_from(value).ok());
+                let Some(value) = value else { return self.no_serial(part, refused) };
+                if part == 0 {
+                    self.serial = value;
+                    Some(Step::Serial(1))
+                } else if let Some(why) = self.is_another(self.serial + value * UnidriveDrive::SERIAL_PART) {
+                    return HandshakeState::Failed(why);
+                } else {
+                    Some(Step::Look(0))
+                }
             }
             (Step::Look(index), Some(code)) => {
                 let block = &self.direct.reads()[index];
@@ -273,6 +293,25 @@ impl UnidriveHandshake {
             }
             None => self.end(),
         }
+    }
+
+    /// It does not say which one it is.
+    fn no_serial(&self, part: usize, refused: Option<ExceptionCode>) -> HandshakeState {
+        let parameter = self.drive.serial_from[part.min(1)];
+        let why = refused.map_or("no number".into(), |code| code.to_string());
+        HandshakeState::Failed(format!(
+            "the drive does not give Pr {parameter}, a part of its serial number: {why}; correct serial_from, \
+             or leave serial out"
+        ))
+    }
+
+    /// Why a drive with this serial number is not the one.
+    fn is_another(&self, found: u64) -> Option<String> {
+        let expected = self.drive.serial.filter(|expected| *expected != found)?;
+        Some(format!(
+            "its serial number is {found}, not {expected}: drives or cables are exchanged: put them back, or \
+             correct serial for another drive"
+        ))
     }
 
     /// Whether the drive may be set up now: menu 0 of a drive that runs is left alone.

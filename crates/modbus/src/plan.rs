@@ -29,6 +29,10 @@ pub struct UnidriveDrive {
     pub axis: AxisPlan,
     /// Where the drive listens.
     pub address: SocketAddrV4,
+    /// Its serial number; `None`: whatever answers there is taken.
+    pub serial: Option<u64>,
+    /// Where that is read, in each handshake: the lower nine digits, and those above them, 32 bits each.
+    pub serial_from: [Parameter; 2],
     /// Its unit id; `None`: 255, and 0 where that is not answered.
     pub unit: Option<u8>,
     /// The slot of its Ethernet interface: 4 is the onboard one, 1 ... 3 have an SI-Ethernet option.
@@ -211,6 +215,12 @@ impl ModbusPlan {
 }
 
 impl UnidriveDrive {
+    /// The largest serial number: eighteen digits.
+    pub const SERIAL_MAX: u64 = 999_999_999_999_999_999;
+    /// What the higher part of a serial number counts.
+    #[doc(hidden)]
+    pub const SERIAL_PART: u64 = 1_000_000_000;
+
     /// A drive at this address, in revolutions of its motor, with everything else as it is when a configuration says
     /// nothing of it.
     pub fn new(name: impl Into<String>, address: Ipv4Addr) -> UnidriveDrive {
@@ -219,6 +229,8 @@ impl UnidriveDrive {
         UnidriveDrive {
             axis: AxisPlan::new(name, units),
             address,
+            serial: None,
+            serial_from: Parameter::SERIAL,
             unit: None,
             slot: 4,
             addressing: Addressing::Standard,

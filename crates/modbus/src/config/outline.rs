@@ -5,7 +5,7 @@ use std::net::{SocketAddrV4, TcpStream};
 use std::time::Duration;
 
 use crate::parameter::{Addressing, Parameter, Width};
-use crate::plan::PORT;
+use crate::plan::{PORT, UnidriveDrive};
 use crate::wire::{self, ADU_MAX, Header, Request, Response};
 use fieldbeat_keys::outline::{Answer, Found, Known, Line, Outline, Search, Unit, Usual, neighbour, probed};
 
@@ -30,7 +30,7 @@ pub(super) const OUTLINE: Outline = Outline {
         Usual::Is("500ms"),
     )],
     search: Search {
-        question: "Probe addresses one by one? Each gets one connection and one read",
+        question: "Probe addresses one by one? Each gets one connection, and a read or three",
         usual: false,
         probes: true,
         run: probe,
@@ -38,7 +38,8 @@ pub(super) const OUTLINE: Outline = Outline {
     },
 };
 
-/// Reads the version of the firmware at each address, one after the other: the parameter that says what a drive is.
+/// Reads the version of the firmware at each address, one after the other: the parameter that says what a drive is;
+/// and of a drive its serial number.
 fn probe(
     _: &Known<'_>,
     addresses: &[SocketAddrV4],
@@ -46,35 +47,61 @@ fn probe(
 ) -> Result<Vec<Found>, String> {
     let mut found = Vec::new();
     for address in addresses.iter().take_while(|_| goes_on()) {
-        found.extend(probed(*address, PORT, || ask(*address)));
+        let mut serial = None;
+        let there = probed(*address, PORT, || {
+            let (answer, number) = ask(*address);
+            serial = number;
+            answer
+        });
+        found.extend(there.map(|mut found| {
+            found.lines.extend(serial.map(|serial| ("serial", serial.to_string())));
+            found
+        }));
     }
     Ok(found)
 }
 
-/// Who answers at an address.
-fn ask(address: SocketAddrV4) -> Answer {
-    let Some(register) = Parameter::FIRMWARE.address(Addressing::Standard, Width::Long) else {
-        return Answer::None;
+/// Who answers at an address, and the serial number of a drive.
+fn ask(address: SocketAddrV4) -> (Answer, Option<u64>) {
+    let Ok(mut stream) = TcpStream::connect_timeout(&address.into(), PATIENCE) else {
+        return (Answer::None, None);
     };
-    let mut bytes = [0; ADU_MAX];
-    let size = Request::Read { address: register, count: Width::Long.registers() }.emit(HEADER, &mut bytes);
-    let reply = TcpStream::connect_timeout(&address.into(), PATIENCE).and_then(|mut stream| {
-        stream.set_read_timeout(Some(PATIENCE))?;
-        stream.write_all(&bytes[..size])?;
-        let mut reply = Vec::new();
-        while wire::frame(&reply).is_ok_and(|frame| frame.is_none()) {
-            let count = stream.read(&mut bytes)?;
-            if count == 0 {
-                return Err(ErrorKind::UnexpectedEof.into());
-            }
-            reply.extend_from_slice(&bytes[..count]);
+    let answer = identify(&read(&mut stream, Parameter::FIRMWARE).unwrap_or_default());
+    if !matches!(answer, Answer::Drive(_)) {
+        return (answer, None);
+    }
+    let mut part = |parameter| {
+        let reply = read(&mut stream, parameter).ok()?;
+        match Response::parse(&reply) {
+            Ok((HEADER, Response::Read { data })) => data.long(0).and_then(|part| u64::try_from(part).ok()),
+            _ => None,
         }
-        Ok(reply)
-    });
-    identify(&reply.unwrap_or_default())
+    };
+    let [low, high] = Parameter::SERIAL.map(&mut part);
+    let serial = low.zip(high).map(|(low, high)| low + high * UnidriveDrive::SERIAL_PART);
+    // 0 is no number.
+    (answer, serial.filter(|serial| *serial > 0))
 }
 
-/// Of the one request on a connection.
+/// The reply to a read of a parameter of 32 bits.
+fn read(stream: &mut TcpStream, parameter: Parameter) -> std::io::Result<Vec<u8>> {
+    let address = parameter.address(Addressing::Standard, Width::Long).ok_or(ErrorKind::InvalidInput)?;
+    let mut bytes = [0; ADU_MAX];
+    let size = Request::Read { address, count: Width::Long.registers() }.emit(HEADER, &mut bytes);
+    stream.set_read_timeout(Some(PATIENCE))?;
+    stream.write_all(&bytes[..size])?;
+    let mut reply = Vec::new();
+    while wire::frame(&reply).is_ok_and(|frame| frame.is_none()) {
+        let count = stream.read(&mut bytes)?;
+        if count == 0 {
+            return Err(ErrorKind::UnexpectedEof.into());
+        }
+        reply.extend_from_slice(&bytes[..count]);
+    }
+    Ok(reply)
+}
+
+/// Of the requests on a connection, one after the other.
 const HEADER: Header = Header { transaction: 1, unit: 255 };
 
 /// Who answers a read of the firmware's version so. Any server has registers there; of a Unidrive they are a version,

@@ -282,6 +282,8 @@ const MENU_11: &[Known] = &[
     Known::new(11, 29, "firmware-version", Width::Long, false).within(0, 99_999_999).read_only(),
     word(11, 31, "operating-mode").within(0, 4).assume(),
     word(11, 44, "security").within(0, 5).assume(),
+    Known::new(11, 52, "serial-number-low", Width::Long, false).within(0, 999_999_999).read_only().assume(),
+    Known::new(11, 53, "serial-number-high", Width::Long, false).within(0, 999_999_999).read_only().assume(),
 ];
 
 const MENU_20_WORDS: &[Known] = &run(

@@ -145,6 +145,9 @@ impl Parameter {
     /// The firmware's version.
     pub const FIRMWARE: Parameter = Parameter::new(11, 29);
 
+    /// Its serial number: the lower nine digits, and those above them (assumed).
+    pub const SERIAL: [Parameter; 2] = [Parameter::new(11, 52), Parameter::new(11, 53)];
+
     /// A parameter of the drive itself.
     pub const fn new(menu: u8, number: u8) -> Parameter {
         Parameter { slot: 0, menu, number }

@@ -31,6 +31,9 @@ fn settings(table: &mut Table<'_>, drive: &UnidriveDrive, period_ns: u64, index:
     let most = drive.velocity(motor.rated_rpm).abs();
     let running = table.number("running", -most..=most, "a velocity up to the rated speed, units/s");
     UnidriveSettings {
+        serial: table
+            .integer("serial", 0..=UnidriveDrive::SERIAL_MAX.into(), "its serial number")
+            .unwrap_or(default.serial),
         faults: faults(table, Carrier::Stream, period_ns, index),
         interface,
         motor,

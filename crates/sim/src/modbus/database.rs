@@ -43,6 +43,10 @@ impl Database {
         ] {
             delivered[row] = rows[row].clamp(value.round() as i32);
         }
+        let parts = [settings.serial % 1_000_000_000, settings.serial / 1_000_000_000];
+        for (row, part) in table::SERIAL.into_iter().zip(parts) {
+            delivered[row] = rows[row].clamp(i32::try_from(part).unwrap_or(i32::MAX));
+        }
         let mut saved = delivered.clone();
         for (parameter, value) in &settings.commissioned {
             if let Some(row) = TABLE.of(*parameter, settings.interface.slot) {

@@ -66,9 +66,10 @@ impl SimBus for Unidrives {
 }
 
 impl UnidriveSettings {
-    /// A drive with default settings at the address of `drive`, with its addressing and slot.
+    /// A drive with default settings at the address of `drive`, with its serial number, addressing and slot.
     pub fn of(drive: &UnidriveDrive) -> UnidriveSettings {
         let mut settings = UnidriveSettings::new(drive.address);
+        settings.serial = drive.serial.unwrap_or_default();
         (settings.interface.addressing, settings.interface.slot) = (drive.addressing, drive.slot);
         settings
     }

@@ -12,6 +12,8 @@ use fieldbeat_modbus::wire::REGISTERS_MAX;
 pub struct UnidriveSettings {
     /// The address that it listens at.
     pub address: SocketAddrV4,
+    /// Its serial number, up to eighteen digits. Default 0.
+    pub serial: u64,
     /// The faults between it and the master.
     pub faults: FaultPlan,
     /// The Modbus side.
@@ -42,6 +44,7 @@ impl UnidriveSettings {
     pub fn new(address: SocketAddrV4) -> UnidriveSettings {
         UnidriveSettings {
             address,
+            serial: 0,
             faults: FaultPlan::default(),
             interface: Interface::default(),
             motor: MotorSettings::default(),

@@ -116,6 +116,8 @@ const SPECIAL: &[Special] = &[
     shows(10, 40, Variable::Status),
     saved(11, 29, 1_220_010), // firmware 01.22.00.10
     saved(11, 31, 3),         // operating mode: RFC-S
+    saved(11, 52, 0),         // serial number, the lower nine digits
+    saved(11, 53, 0),         // and those above them
     // What menu 0 of a new drive shows: both clamps, both ramps, the selector, the limit.
     saved(22, 1, 1_007),
     saved(22, 2, 1_006),
@@ -174,6 +176,7 @@ pub(super) const CONTROL_WORD: usize = at(6, 42);
 pub(super) const CONTROL_WORD_ENABLE: usize = at(6, 43);
 pub(super) const RESET: usize = at(10, 33);
 pub(super) const USER_TRIP: usize = at(10, 38);
+pub(super) const SERIAL: [usize; 2] = [at(11, 52), at(11, 53)];
 pub(super) const MODBUS_TIMEOUT: usize = at(INTERFACE + 15, 9);
 pub(super) const ADDRESSING: usize = at(INTERFACE + 15, 13);
 

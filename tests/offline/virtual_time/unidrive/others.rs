@@ -64,3 +64,41 @@ fn a_drive_that_a_living_master_commands_is_not_taken_over() {
         assert!(!b.tap(0).received.iter().any(writes), "{via:?}: nothing was written");
     }
 }
+
+#[test]
+fn another_drive_of_the_same_kind_is_read_and_never_written_also_after_a_reconnect() {
+    let (own, other) = (7_000_000_001, 7_000_000_002);
+    let settings = |plan: &UnidriveDrive, serial| UnidriveSettings { serial, ..UnidriveSettings::of(plan) };
+    for via in VIAS {
+        // Two that were exchanged.
+        let mut b = Bench::new(2, via, |index, drive| {
+            drive.plan.serial = Some([own, other][index]);
+            drive.simulate = settings(&drive.plan, [other, own][index]);
+        });
+        b.run(3_000);
+        let reads =
+            |b: &Bench, index: usize| b.tap(index).received.iter().all(|all| all[7] == function::READ);
+        for index in 0..2 {
+            assert_eq!(b.feedback(index).link, Link::Unseen, "{via:?}");
+            assert!(reads(&b, index) && !b.tap(index).received.is_empty(), "{via:?}");
+        }
+        let end = b.sim.finish();
+        let why = end.drives[0].not_connected.clone().unwrap_or_default();
+        let expected = "its serial number is 7000000002, not 7000000001: drives or cables are exchanged";
+        assert!(why.contains(expected), "{why}");
+        // One in its place while the master runs, and then itself again.
+        let mut b = Bench::enabled(1, via, |_, drive| {
+            drive.plan.serial = Some(own);
+            drive.simulate = settings(&drive.plan, own);
+        });
+        for (serial, link) in [(other, Link::Lost), (own, Link::Online)] {
+            let simulated = UnidriveSim::new(settings(&b.plan.drives[0], serial));
+            b.tap(0).drive = simulated;
+            b.tap(0).received.clear();
+            assert!(b.sim.world().restart(address(0)));
+            b.run(6_000);
+            assert_eq!(b.feedback(0).link, link, "{via:?}");
+            assert_eq!(reads(&b, 0), link == Link::Lost, "{via:?}");
+        }
+    }
+}
