@@ -7,9 +7,9 @@ use std::sync::Arc;
 use super::fields::layout;
 use super::last::LastStop;
 use super::notation::Upids;
-use super::plan::{LinUdpDrive, LinUdpPlan, MonitorPlan};
+use super::plan::{LinUdpDrive, LinUdpPlan, MonitorPlan, Serial};
 use super::profile;
-use super::station::Station;
+use super::station::{SerialNote, Station};
 use super::wire::{ErrorCode, REQUEST_MAX, RESPONSE_MAX};
 use fieldbeat_core::axis::acyclic::Notation;
 use fieldbeat_core::axis::feedback::MONITOR_CHANNELS;
@@ -17,7 +17,7 @@ use fieldbeat_core::axis::{AxisPlan, FaultNames, FoundRunning, MonitorChannel, P
 use fieldbeat_core::bus::desired::Capabilities;
 use fieldbeat_core::bus::native::{NativeBytes, NativeLayout, WantedOutputs};
 use fieldbeat_core::bus::variant::Variant;
-use fieldbeat_core::bus::{Bus, BusPlan, Cycle, Ends, LastResort, OpenError, Slot, Unmatched, drives};
+use fieldbeat_core::bus::{Bus, BusPlan, Cycle, Ends, LastResort, Notes, OpenError, Slot, Unmatched, drives};
 use fieldbeat_core::errors::no_descriptor;
 use fieldbeat_core::net::{Carriers, Datagrams, Lock, Outbox, Sent, UdpOptions};
 use fieldbeat_core::rt::Regions;
@@ -39,6 +39,7 @@ pub struct LinUdpBus {
     stations: Vec<Station>,
     senders: Senders,
     ends: Ends,
+    notes: Arc<SerialNotes>,
     unmatched: Unmatched,
     /// Until it is taken.
     last: Option<LastStop>,
@@ -76,6 +77,10 @@ impl LinUdpBus {
             stations.push(station);
             ends.push(native, acyclic);
         }
+        let note = |(drive, station): (&LinUdpDrive, &Station)| {
+            (drive.address, drive.serial.map(|serial| (serial, station.serial_note())))
+        };
+        let notes = SerialNotes(plan.drives.iter().zip(&stations).map(note).collect());
         let powers = stations.iter().map(Station::power_sent);
         let last = twin.map(|twin| LastStop::new(twin, plan.drives.iter().zip(powers)));
         Ok(LinUdpBus {
@@ -85,6 +90,7 @@ impl LinUdpBus {
             stations,
             senders: Senders::new(&peers),
             ends,
+            notes: Arc::new(notes),
             unmatched: Unmatched::default(),
             last,
             _locks: locks,
@@ -120,6 +126,18 @@ impl LinUdpBus {
                 }
             }
         }
+    }
+}
+
+/// Of drives that have to be certain ones: why one is not connected although it answers.
+#[derive(Debug)]
+struct SerialNotes(Vec<(SocketAddrV4, Option<(Serial, SerialNote)>)>);
+
+impl Notes for SerialNotes {
+    fn get(&self, index: usize) -> Option<String> {
+        let (address, known) = self.0.get(index)?;
+        let (serial, note) = known.as_ref()?;
+        Some(format!("{address}: {}", note.text(*serial)?))
     }
 }
 
@@ -250,6 +268,11 @@ impl Bus for LinUdpBus {
 
     fn unmatched(&self) -> Unmatched {
         Unmatched { dropped: self.net.dropped(), ..self.unmatched }
+    }
+
+    fn notes(&self) -> Option<Arc<dyn Notes>> {
+        let notes = Arc::clone(&self.notes);
+        Some(notes)
     }
 
     fn ends(&mut self) -> Option<&mut Ends> {

@@ -13,7 +13,9 @@ use std::time::Duration;
 
 use super::PROTOCOL;
 use super::motion::StreamCommand;
-use super::plan::{COUNTS_PER_MM, DRIVE_PORT, LinUdpDrive, LinUdpPlan, MASTER_PORT, MonitorPlan, ReplyTag};
+use super::plan::{
+    COUNTS_PER_MM, DRIVE_PORT, LinUdpDrive, LinUdpPlan, MASTER_PORT, MonitorPlan, ReplyTag, Serial,
+};
 use super::upid::{KNOWN, Upid};
 use fieldbeat_core::axis::Unit;
 use fieldbeat_core::axis::feedback::MONITOR_CHANNELS;
@@ -78,6 +80,7 @@ fn drive(table: &mut Table<'_>, machine: &mut Machine, bind: Option<SocketAddrV4
     let period_ns = machine.period_ns.saturating_mul(u64::from(axis.divisor));
     let drive = LinUdpDrive {
         address,
+        serial: serial(table),
         stream: stream(table, period_ns),
         monitor: monitor(table).unwrap_or_default(),
         reply_tag: table.word("reply_tag", &ReplyTag::WORDS).unwrap_or_default(),
@@ -92,6 +95,26 @@ fn drive(table: &mut Table<'_>, machine: &mut Machine, bind: Option<SocketAddrV4
         table.fault(fault.key, fault.message);
     }
     drive
+}
+
+/// A number by which the drive is known, and the parameter that has it. With the parameter alone nothing is compared:
+/// `pin` reads it.
+fn serial(table: &mut Table<'_>) -> Option<Serial> {
+    let number = table.integer("serial", 0..=u32::MAX.into(), "the number in the parameter serial_from");
+    let form = Form::integer(0..=u16::MAX.into()).or(Form::Text(None));
+    let from = table.read("serial_from", form, |value| {
+        let by_number = integer(value).and_then(|number| u16::try_from(number).ok()).map(Upid);
+        by_number.or_else(|| value.as_str().and_then(Upid::parse)).ok_or_else(|| {
+            "must be the UPID of a parameter of 32 bits with the serial number, like \"0x1234\"".to_owned()
+        })
+    });
+    if number.is_some() && !table.gives("serial_from") {
+        table.fault(
+            "serial_from",
+            "missing; serial needs the UPID of the parameter that has it, as LinMot-Talk shows it",
+        );
+    }
+    Some(Serial { from: from?, number })
 }
 
 /// Which streaming command Follow uses. One that is named must fit the drive's period; where none is named it is the

@@ -48,7 +48,9 @@ pub use rtc::UNACKNOWLEDGED;
 
 pub use motion::stream::StreamCommand;
 pub use native::{Native, NativeInputs, NativeOutput};
-pub use plan::{COUNTS_PER_MM, DRIVE_PORT, LinUdpDrive, LinUdpPlan, MASTER_PORT, MonitorPlan, ReplyTag};
+pub use plan::{
+    COUNTS_PER_MM, DRIVE_PORT, LinUdpDrive, LinUdpPlan, MASTER_PORT, MonitorPlan, ReplyTag, Serial,
+};
 pub use wire::{ControlWord, ErrorCode, MainState, MotionBlock, StateVar, StatusWord, WarnWord};
 
 /// The protocol's name in configurations.

@@ -38,6 +38,8 @@ pub struct LinUdpDrive {
     pub axis: AxisPlan,
     /// Where the drive listens.
     pub address: SocketAddrV4,
+    /// Which drive it has to be; `None`: whatever answers there is taken.
+    pub serial: Option<Serial>,
     /// The streaming command that Follow uses; `None`: Follow is refused.
     pub stream: Option<StreamCommand>,
     /// What the four monitoring channels show, if they are requested.
@@ -87,6 +89,7 @@ impl LinUdpDrive {
         LinUdpDrive {
             axis: AxisPlan::new(name, Units::millimetres(COUNTS_PER_MM)),
             address: SocketAddrV4::new(address, DRIVE_PORT),
+            serial: None,
             stream: Some(StreamCommand::Pva),
             monitor: MonitorPlan::Off,
             reply_tag: ReplyTag::default(),
@@ -94,6 +97,15 @@ impl LinUdpDrive {
             leash: None,
         }
     }
+}
+
+/// The serial number of a drive, or any number by which it is known from others.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Serial {
+    /// The parameter of 32 bits that has it: no public document names one.
+    pub from: Upid,
+    /// The number; `None`: any.
+    pub number: Option<u32>,
 }
 
 /// By what a reply shows which request it answers: LinUDP has no sequence number.
@@ -256,6 +268,13 @@ impl LinUdpDrive {
         let unit = self.axis.units.unit;
         let setpoints = Ns(period_ns.saturating_mul(self.axis.divisor.into()));
         let mut lines = vec![format!("{bind} -> {}", self.address)];
+        lines.push(match self.serial {
+            Some(Serial { from, number: Some(number) }) => {
+                format!("known by its serial number {number} ({from}, read before anything is written)")
+            }
+            _ => "known by its address only: an equal drive there is taken for it (serial and serial_from)"
+                .to_owned(),
+        });
         lines.push(match self.stream {
             Some(command) => {
                 let (shortest, longest) = command.period_range_ns();

@@ -4,7 +4,8 @@ use std::net::{SocketAddrV4, UdpSocket};
 use std::time::Duration;
 
 use crate::plan::{DRIVE_PORT, MASTER_PORT};
-use crate::wire::{REQUEST_MAX, Request, ResponseDef, ResponseView};
+use crate::upid::Upid;
+use crate::wire::{REQUEST_MAX, Request, ResponseDef, ResponseView, RtcBlock, RtcCommand, RtcStatus};
 use fieldbeat_keys::outline::{
     Answer, Found, Known, Line, Outline, RANGE, Search, Unit, Usual, neighbour, own, own_address, probed,
 };
@@ -58,32 +59,68 @@ fn probe(
     })?;
     let ready = socket.set_read_timeout(Some(PATIENCE));
     ready.map_err(|error| format!("cannot receive answers: {error}"))?;
+    let serial_from = (known.answer)("serial_from").and_then(|from| Upid::parse(&from));
     let mut found = Vec::new();
     for address in addresses.iter().take_while(|_| goes_on()) {
-        found.extend(probed(*address, DRIVE_PORT, || ask(&socket, *address)));
+        let mut serial = None;
+        let there = probed(*address, DRIVE_PORT, || {
+            let answer = ask(&socket, *address);
+            if let (Answer::Drive(_), Some(from)) = (answer, serial_from) {
+                serial = read(&socket, *address, from);
+            }
+            answer
+        });
+        found.extend(there.map(|mut found| {
+            found.lines.extend(serial.map(|serial| ("serial", serial.to_string())));
+            found
+        }));
     }
     Ok(found)
+}
+
+/// What a parameter of a drive has. A command runs if its count is another one than that of the last.
+fn read(socket: &UdpSocket, address: SocketAddrV4, from: Upid) -> Option<u32> {
+    (1..=14).find_map(|count| {
+        let call = RtcBlock::call(count, RtcCommand::READ_RAM, from.0, 0);
+        // A drive may be busy with it for a while.
+        (0..8).find_map(|_| {
+            let response_def = ResponseDef::STATUS.with(ResponseDef::CONFIG);
+            let request = Request { response_def, config: Some(call), ..Request::default() };
+            let mut reply = [0; ROOM];
+            let size = exchange(socket, address, &request, &mut reply)?;
+            let block = ResponseView::new(reply.get(..size)?).ok()?.config()?;
+            let is_done = block.status() == RtcStatus::Done && block.count() == count;
+            (is_done && block.index() == from.0).then_some(block.value())
+        })
+    })
+}
+
+/// A request, and the size of the reply to it.
+fn exchange(
+    socket: &UdpSocket,
+    address: SocketAddrV4,
+    request: &Request,
+    reply: &mut [u8; ROOM],
+) -> Option<usize> {
+    let mut bytes = [0; REQUEST_MAX];
+    let size = request.emit(&mut bytes);
+    socket.send_to(&bytes[..size], address).ok()?;
+    // Another drive may answer late; it sends no more than that.
+    for _ in 0..8 {
+        match socket.recv_from(reply) {
+            Ok((size, from)) if from == address.into() => return Some(size),
+            Ok(_) => {}
+            Err(_) => return None,
+        }
+    }
+    None
 }
 
 /// Who answers. The request has neither a control word nor a command.
 fn ask(socket: &UdpSocket, address: SocketAddrV4) -> Answer {
     let request = Request { response_def: ResponseDef::STATUS, ..Request::default() };
-    let mut bytes = [0; REQUEST_MAX];
-    let size = request.emit(&mut bytes);
-    if socket.send_to(&bytes[..size], address).is_err() {
-        return Answer::None;
-    }
     let mut reply = [0; ROOM];
-    // Another drive may answer late; it sends no more than that.
-    for _ in 0..8 {
-        match socket.recv_from(&mut reply) {
-            Ok((size, from)) if from == address.into() => {
-                let is_status = ResponseView::new(&reply[..size]).is_ok_and(|view| view.status().is_some());
-                return if is_status { Answer::Drive("a LinMot") } else { Answer::None };
-            }
-            Ok(_) => {}
-            Err(_) => return Answer::None,
-        }
-    }
-    Answer::None
+    let Some(size) = exchange(socket, address, &request, &mut reply) else { return Answer::None };
+    let is_status = ResponseView::new(&reply[..size]).is_ok_and(|view| view.status().is_some());
+    if is_status { Answer::Drive("a LinMot") } else { Answer::None }
 }

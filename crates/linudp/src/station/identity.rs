@@ -154,6 +154,11 @@ impl Identity {
         }
     }
 
+    /// The last exchange has no reply yet.
+    pub(super) fn is_open(&self) -> bool {
+        self.open
+    }
+
     /// The reply can be that to the last request.
     #[inline]
     pub(super) fn is_answered_by(&self, view: &ResponseView<'_>) -> bool {

@@ -6,6 +6,7 @@
 //! |---|---|
 //! | `mod` | the next request, and what is received |
 //! | `identity` | which request a reply answers |
+//! | `serial` | which drive it is |
 //! | `report` | an accepted reply: values in user units, evidence |
 //!
 //! In most exchanges nothing new is desired, and the drive says the same as before but for its positions. Then the
@@ -13,9 +14,13 @@
 
 mod identity;
 mod report;
+mod serial;
+
+pub(super) use self::serial::SerialNote;
 
 use self::identity::{Echo, Identity, Unrequested};
 use self::report::Track;
+use self::serial::Identification;
 use super::last::PowerSent;
 use super::native::{Native, NativePort, native};
 use super::other::OtherMaster;
@@ -52,6 +57,8 @@ pub struct Station {
     tagged: bool,
     /// The drive reports variables.
     shows: bool,
+    /// Which drive it is.
+    who: Identification,
     /// The prepared request is a probe.
     probing: bool,
     /// Probes that have gone out.
@@ -91,6 +98,7 @@ impl Station {
             guarded: false,
             shows: shown,
             tagged: drive.reply_tag == ReplyTag::Count,
+            who: Identification::new(drive.serial),
             probing: false,
             probes: 0,
             units: drive.axis.units,
@@ -108,6 +116,11 @@ impl Station {
     #[inline]
     pub(super) fn native(&self) -> &NativePort {
         &self.native
+    }
+
+    /// Why it is not connected although it answers.
+    pub(super) fn serial_note(&self) -> SerialNote {
+        self.who.note()
     }
 
     /// Adds what it touches besides itself, to be locked.
@@ -152,6 +165,8 @@ impl Station {
     #[inline(never)]
     fn build(&mut self, cycle: &Cycle, slot: &mut Slot, out: &mut [u8]) -> usize {
         let silent = matches!(slot.link, Link::Unseen | Link::Lost);
+        self.who.advance(silent, self.identity.is_open());
+        let who = self.who.block();
         let outputs = self.profile.encode(&slot.desired, &self.inputs, &mut self.native);
         let Outputs { control, motion, config } = outputs;
         let powered = slot.status.state.is_powered();
@@ -162,14 +177,14 @@ impl Station {
             response_def: self.identity.response_def(),
             control,
             motion,
-            config: config.or(called),
+            config: who.or(config).or(called),
             ..Request::default()
         };
         if config.is_some() {
             self.rtc.give_way();
         }
         let tag = match (config, called) {
-            _ if !self.tagged => None,
+            _ if !self.tagged || who.is_some() => None,
             (Some(_), _) => config,
             // A call is repeated with one count, which does not identify the request.
             (None, Some(_)) => None,
@@ -226,6 +241,9 @@ impl Station {
             slot.counters.malformed += 1;
             return;
         };
+        if !self.who.is_known() {
+            return self.identify(&view, in_window, slot);
+        }
         match slot.exchange {
             Exchange::Owed { sent_at, .. } if in_window && self.identity.is_answered_by(&view) => {
                 let suspect = self.identity.answered();
@@ -237,6 +255,24 @@ impl Station {
                 self.read(sent_at, at, &view, suspect, slot);
             }
             _ => self.unrequested(at, &view, in_window, slot),
+        }
+    }
+
+    /// A reply of a drive that may be another one: of all that it says only its serial number counts, and the exchange is
+    /// a missed one.
+    #[cold]
+    fn identify(&mut self, view: &ResponseView<'_>, in_window: bool, slot: &mut Slot) {
+        let is_owed = matches!(slot.exchange, Exchange::Owed { .. });
+        if is_owed && in_window && self.identity.is_answered_by(view) {
+            if !self.identity.answered() {
+                self.who.take(view.config());
+            }
+            return;
+        }
+        match self.identity.unrequested(view, in_window) {
+            Unrequested::Second { .. } | Unrequested::Late => slot.counters.late += 1,
+            Unrequested::Duplicate => slot.counters.duplicate += 1,
+            Unrequested::Foreign => slot.counters.foreign += 1,
         }
     }
 

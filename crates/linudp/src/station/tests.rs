@@ -4,7 +4,10 @@ use std::net::Ipv4Addr;
 
 use super::*;
 use crate::StreamCommand;
+use crate::plan::Serial;
 use crate::profile::capabilities;
+use crate::upid::Upid;
+use crate::wire::RtcCommand;
 use crate::wire::{MainState, Response, StateVar, StatusWord};
 use fieldbeat_core::axis::{Command, Row};
 use fieldbeat_core::drive::machine::{Machine, NumberedRow};
@@ -168,5 +171,51 @@ fn every_fourth_probe_that_goes_out_has_all_blocks() {
             assert_eq!(request.motion.is_some() && request.config.is_some(), probe % 4 == 0, "{probe}");
         }
         station.sent(Time(0), Time(1), &mut slot);
+    }
+}
+
+/// A drive may have been exchanged whenever its link was down.
+#[test]
+fn a_reply_counts_once_the_drive_has_said_its_serial_number_and_after_each_loss_anew() {
+    let serial = Some(Serial { from: Upid(0x66), number: Some(7) });
+    let mut b = Bench::new(&LinUdpDrive { serial, ..LinUdpDrive::new("x", Ipv4Addr::LOCALHOST) });
+    // The link, the number of the drive, whether it is asked for it, and whether the next reply counts.
+    for (link, number, is_asked, counts) in [
+        (Link::Unseen, 8, true, false),
+        (Link::Unseen, 7, true, true),
+        (Link::Unseen, 7, false, true),
+        (Link::Online, 8, false, true),
+        (Link::Lost, 8, true, false),
+        (Link::Lost, 8, true, false),
+        (Link::Lost, 7, true, true),
+        (Link::Qualifying, 7, false, true),
+        (Link::Online, 7, false, true),
+    ] {
+        b.slot.link = link;
+        let request = b.send();
+        let asks = |block: &RtcBlock| block.code == RtcCommand::READ_RAM.0 && block.index() == 0x66;
+        assert_eq!(request.config.as_ref().is_some_and(asks), is_asked, "{link:?} {number}");
+        let mut bytes = [0; 64];
+        let answer = |block: RtcBlock| RtcBlock { code: 0, words: [0x66, number, 0], ..block };
+        let response = Response {
+            request_def: request.definition(),
+            response_def: request.response_def,
+            status: Some(StatusWord(0x0037)),
+            state: Some(StateVar::new(MainState::OPERATION_ENABLED, 0)),
+            config: request.config.map(answer),
+            ..Response::default()
+        };
+        let size = response.emit(&mut bytes);
+        b.station.take(b.cycle.grid + MS / 10, &bytes[..size], true, &mut b.slot);
+        let is_answered = matches!(b.slot.exchange, Exchange::Answered { .. });
+        assert_eq!((is_answered, b.station.who.is_known()), (!is_asked, counts), "{link:?} {number}");
+    }
+    let note = b.station.serial_note();
+    assert_eq!(note.text(serial.unwrap()), None);
+    // A link that stays down, and a probe that was not answered.
+    b.slot.link = Link::Lost;
+    for is_known in [false, false] {
+        b.send();
+        assert_eq!(b.station.who.is_known(), is_known);
     }
 }

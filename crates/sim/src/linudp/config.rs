@@ -35,9 +35,11 @@ fn settings(table: &mut Table<'_>, drive: &LinUdpDrive, period_ns: u64, index: u
     let home = inside(table, "home").unwrap_or(if low <= 0.0 && high >= 0.0 { 0.0 } else { low });
     let start = inside(table, "start").unwrap_or((low + high) / 2.0);
     let ends = if endless { LinMotSettings::ENDLESS } else { (counts(low), counts(high)) };
-    let default = LinMotSettings::new(drive.address);
+    let default = LinMotSettings::of(drive);
+    let serial = table.integer("serial", 0..=u32::MAX.into(), "the number in its parameter serial_from");
     LinMotSettings {
         address: drive.address,
+        serial: drive.serial.map(|own| (own.from.0, serial.or(own.number).unwrap_or_default())),
         faults: faults(table, Carrier::Datagrams, period_ns, index),
         padding: table
             .read("padding", Form::numbers([0, 14, 64]), |value| {

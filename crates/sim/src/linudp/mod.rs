@@ -59,7 +59,7 @@ use self::rtc::{After, Channel};
 use crate::{FaultPlan, SimBus, SimDrive, Simulated, Truth};
 use fieldbeat_core::time::{MS, Time};
 use fieldbeat_linudp::wire::{ErrorCode, RESPONSE_MAX, Request, Response, StateVar, StatusWord};
-use fieldbeat_linudp::{LinUdpPlan, MASTER_PORT};
+use fieldbeat_linudp::{LinUdpDrive, LinUdpPlan, MASTER_PORT};
 
 /// From power-on until the motion software runs; until then status word and state variable are 0.
 const BOOT_NS: u64 = 100 * MS;
@@ -88,7 +88,15 @@ pub struct LinMots(pub Vec<LinMotSettings>);
 impl LinMots {
     /// A drive with default settings for each of the bus.
     pub fn of(plan: &LinUdpPlan) -> LinMots {
-        LinMots(plan.drives.iter().map(|drive| LinMotSettings::new(drive.address)).collect())
+        LinMots(plan.drives.iter().map(LinMotSettings::of).collect())
+    }
+}
+
+impl LinMotSettings {
+    /// A drive with default settings at the address of `drive`, with its serial number.
+    fn of(drive: &LinUdpDrive) -> LinMotSettings {
+        let serial = drive.serial.map(|serial| (serial.from.0, serial.number.unwrap_or_default()));
+        LinMotSettings { serial, ..LinMotSettings::new(drive.address) }
     }
 }
 

@@ -139,10 +139,14 @@ impl Channel {
         let (index, value) = (block.index(), block.value());
         let bytes = value.to_le_bytes();
         let stopped = machine.is_stopped();
+        let serial = machine.serial(index);
         let memory = &mut machine.memory;
         match RtcCommand(block.code) {
             C::NO_OPERATION | C::RESTART => {}
             C::READ_ROM => return Ok(Reply::value(index, memory.parameters.rom(index)?)),
+            C::READ_RAM if serial.is_some() => {
+                return Ok(Reply::value(index, serial.unwrap_or_default()));
+            }
             C::READ_RAM => {
                 return Ok(Reply::value(index, machine.read(allowed(index, Usage::RAM_READ)?)));
             }

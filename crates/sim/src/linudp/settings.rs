@@ -10,6 +10,8 @@ use fieldbeat_core::time::MS;
 pub struct LinMotSettings {
     /// The address that it listens at.
     pub address: SocketAddrV4,
+    /// Its serial number, and the parameter that has it. Default: none has it.
+    pub serial: Option<(u16, u32)>,
     /// Faults on its wire.
     pub faults: FaultPlan,
     /// The shortest payload that the drive sends, filled up behind the blocks: 0, 14 or 64 (sheet, 1.1).
@@ -56,6 +58,7 @@ impl LinMotSettings {
     pub fn new(address: SocketAddrV4) -> LinMotSettings {
         LinMotSettings {
             address,
+            serial: None,
             faults: FaultPlan::default(),
             padding: 14,
             filter: MasterFilter::None,

@@ -104,6 +104,11 @@ pub(super) struct Machine {
 }
 
 impl Machine {
+    /// Its serial number, if it is in this parameter.
+    pub(super) fn serial(&self, upid: u16) -> Option<u32> {
+        self.plan.serial.filter(|(from, _)| *from == upid).map(|(_, number)| number)
+    }
+
     pub(super) fn new(plan: &LinMotSettings) -> Machine {
         let metres = |count: i32| f64::from(count) * METRE;
         let range = match plan.is_endless() {
