@@ -21,6 +21,7 @@ mod meter;
 mod output;
 mod own;
 mod param;
+mod pin;
 mod reach;
 mod replay;
 mod run;
@@ -72,6 +73,8 @@ enum Command {
     Soak(soak::SoakTest),
     /// The plan of CONFIG in words or as JSON; refuses what cannot work, with the reason.
     Check(check::Check),
+    /// By what the drives of CONFIG are known, as they report it; writes it into CONFIG on request, and to no drive.
+    Pin(pin::Pin),
     /// A first configuration by questions; looks for the drives if that is wanted, and moves nothing.
     Init(init::Init),
     /// The keys of a configuration as a JSON schema.
@@ -113,6 +116,7 @@ pub fn main() -> ExitCode {
         Command::Run(run) => run.run(),
         Command::Soak(soak) => soak.run(),
         Command::Check(check) => check.run(),
+        Command::Pin(pin) => pin.run(),
         Command::Init(init) => init.run(),
         Command::Config(config) => config.run(),
         Command::Status(status) => status.run(),

@@ -120,6 +120,10 @@ impl BusPlan for ProfibusPlan {
         Some(Box::new(ProfibusPlan::variant(self, wanted)?))
     }
 
+    fn place(&self, index: usize) -> Option<String> {
+        self.drives.get(index).map(|drive| drive.address.to_string())
+    }
+
     fn addresses(&self) -> Vec<SocketAddrV4> {
         Vec::new()
     }

@@ -12,6 +12,10 @@ impl ProfibusPlan {
     pub(super) fn describe_drive(&self, index: usize) -> String {
         let Some(drive) = self.drives.get(index) else { return String::new() };
         let mut lines = vec![format!("{}, address {}", self.device, drive.address)];
+        lines.push(format!(
+            "known by its address and the ident number {:#06x} of its module: an equal one there is taken for it",
+            drive.ident
+        ));
         lines.extend(self.describe_turn(index, drive));
         lines.push(self.describe_start_up(drive));
         lines.push(format!(

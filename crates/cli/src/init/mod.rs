@@ -309,6 +309,7 @@ impl<'a> Interview<'a> {
             for line in self.outline.drive {
                 self.given_or_asked(line, given, index)?;
             }
+            self.found(given)?;
             self.shared(given, index)?;
         }
         Ok(())
@@ -346,6 +347,18 @@ impl<'a> Interview<'a> {
             }
         }
         self.line(line, index)
+    }
+
+    /// What else was found: by what the drive is known from others.
+    fn found(&mut self, given: &[(&'static str, String)]) -> Result<(), Stop> {
+        let lines = self.outline.drive.iter().chain(self.outline.behind);
+        let asked: Vec<&str> = lines.map(|line| line.key).collect();
+        for (key, value) in given.iter().filter(|(key, _)| !asked.contains(key)) {
+            if let Some(why) = self.take(key, value) {
+                self.answers.say(&format!("  {key} = {value}: {why}"))?;
+            }
+        }
+        Ok(())
     }
 
     /// What drives may have in common: that of the drive before, if it is wanted again.

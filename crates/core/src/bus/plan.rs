@@ -163,6 +163,12 @@ pub trait BusPlan: Any + Debug + Send + Sync {
     /// The IP addresses of its drives, in slot order; empty if they have none.
     fn addresses(&self) -> Vec<SocketAddrV4>;
 
+    /// Where a drive is, as the search of its protocol says it; its address, if it has one.
+    #[doc(hidden)]
+    fn place(&self, index: usize) -> Option<String> {
+        self.addresses().get(index).map(ToString::to_string)
+    }
+
     /// The drive that byte `at` of a frame or telegram of this bus is for, where drives have no IP address; `None`: it
     /// is for no single one.
     #[doc(hidden)]

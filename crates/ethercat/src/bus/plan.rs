@@ -155,6 +155,10 @@ impl BusPlan for EthercatPlan {
         Some(Box::new(EthercatPlan::variant(self, wanted)?))
     }
 
+    fn place(&self, index: usize) -> Option<String> {
+        self.drives.get(index).map(|drive| drive.slave.place.to_string())
+    }
+
     fn addresses(&self) -> Vec<SocketAddrV4> {
         Vec::new()
     }

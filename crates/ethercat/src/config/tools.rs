@@ -111,9 +111,9 @@ fn is_unplugged(interface: &str) -> bool {
 
 /// The table, and below it what stands in no column.
 fn text(slaves: &[Slave]) -> String {
-    const HEAD: [&str; 15] = [
-        "place", "station", "alias", "state", "name", "vendor", "product", "revision", "serial", "mailbox",
-        "out", "in", "clock", "links", "FMMU/SM",
+    const HEAD: [&str; 14] = [
+        "place", "station", "state", "name", "vendor", "product", "revision", "serial", "mailbox", "out",
+        "in", "clock", "links", "FMMU/SM",
     ];
     let mut text = table(HEAD, slaves.iter().map(row));
     for slave in slaves {
@@ -124,7 +124,7 @@ fn text(slaves: &[Slave]) -> String {
     text
 }
 
-fn row(slave: &Slave) -> [String; 15] {
+fn row(slave: &Slave) -> [String; 14] {
     let number = |number: u32| format!("{number:#010x}");
     let none = || "-".to_owned();
     let sii = slave.sii.as_ref().ok();
@@ -133,7 +133,6 @@ fn row(slave: &Slave) -> [String; 15] {
     [
         slave.place.to_string(),
         format!("{:#06x}", slave.station),
-        if slave.alias == 0 { none() } else { slave.alias.to_string() },
         state(slave),
         sii.map(|sii| sii.name.clone()).filter(|name| !name.is_empty()).unwrap_or_else(none),
         of(|sii| sii.identity.vendor),
@@ -191,6 +190,9 @@ fn links(slave: &Slave) -> String {
 /// What stands in no column.
 fn notes(slave: &Slave) -> Vec<String> {
     let mut notes = Vec::new();
+    if slave.alias != 0 {
+        notes.push(format!("station alias {}", slave.alias));
+    }
     if slave.has_error() || slave.code.0 != 0 {
         notes.push(format!("AL status code {}", slave.code));
     }

@@ -36,9 +36,14 @@ pub(super) const OUTLINE: Outline = Outline {
     },
 };
 
-/// Everything that answers.
-fn search(known: &Known<'_>, _: &[SocketAddrV4], goes_on: &dyn Fn() -> bool) -> Result<Vec<Found>, String> {
-    let devices = match scan(*own(known, IO_PORT).ip(), Targets::All, goes_on) {
+/// Everything that answers: at these addresses, or without any a broadcast.
+fn search(
+    known: &Known<'_>,
+    addresses: &[SocketAddrV4],
+    goes_on: &dyn Fn() -> bool,
+) -> Result<Vec<Found>, String> {
+    let targets = if addresses.is_empty() { Targets::All } else { Targets::Some(addresses) };
+    let devices = match scan(*own(known, IO_PORT).ip(), targets, goes_on) {
         Err(ScanError::Silent) => return Ok(Vec::new()),
         other => other.map_err(|error| error.to_string())?,
     };
@@ -50,7 +55,9 @@ fn found(device: &Device) -> Found {
     let (ip, name) = (device.from.ip(), device.name.trim());
     match vendor(device.vendor) {
         Some(_) => {
-            let mut lines = vec![("address", ip.to_string())];
+            let is_usual = device.from.port() == PORT;
+            let mut lines =
+                vec![("address", if is_usual { ip.to_string() } else { device.from.to_string() })];
             // 0 is no number.
             if device.product != 0 {
                 lines.push(("product", device.product.to_string()));
