@@ -17,6 +17,7 @@ mod fuse;
 mod grid;
 mod groups;
 mod groups_random;
+mod identity;
 mod kollmorgen;
 mod latches;
 mod lenze;
