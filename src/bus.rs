@@ -33,7 +33,7 @@ pub mod linudp {
     #[doc(inline)]
     pub use fieldbeat_linudp::{
         COUNTS_PER_MM, ControlWord, DRIVE_PORT, ErrorCode, LinUdpDrive, LinUdpPlan, MASTER_PORT, MainState,
-        MonitorPlan, MotionBlock, Native, NativeInputs, NativeOutput, PROTOCOL, ReplyTag, StateVar,
+        MonitorPlan, MotionBlock, Native, NativeInputs, NativeOutput, PROTOCOL, ReplyTag, Serial, StateVar,
         StatusWord, StreamCommand, WarnWord,
     };
 }

@@ -1,5 +1,6 @@
 //! The scans: of a line and of a wire on this host, without any right, of devices, and of addresses where nobody is.
 
+use std::ffi::OsStr;
 use std::net::{Ipv4Addr, SocketAddr, SocketAddrV4, UdpSocket};
 use std::thread::{self, JoinHandle};
 
@@ -227,4 +228,51 @@ fn stations_are_listed_by_a_scan_that_leaves_them_as_they_are_and_a_master_alone
     let foreign = "simulate = { second_master = 1, second_master_every = \"100ms\" }";
     let _sim = simulation(&machine.write("foreign.toml", lenzes(&device, foreign)));
     scan(&[]).end().failed(&[&device, "another master, address 1,", "end that one first"]);
+}
+
+#[test]
+fn pin_adds_what_the_connected_drives_report_and_names_what_contradicts_the_file() {
+    let machine = Machine::new(164);
+    let [own, linmot, unidrive, moons] = [1, 10, 20, 40].map(|host| machine.ip(host));
+    let text = format!(
+        "{}[[bus]]\nprotocol = \"ethercat\"\ninterface = \"{}\"\n[[bus.drive]]\nname = \"e\"  # on the left\n\
+         watchdog = \"100ms\"\nsimulate = {{ serial = 10, alias = 11 }}\n\
+         [[bus]]\nprotocol = \"modbus-tcp\"\n[[bus.drive]]\nname = \"u\"\naddress = \"{unidrive}:1502\"\n\
+         divisor = 8\nsimulate.serial = 12000000001\n\
+         [[bus]]\nprotocol = \"ethernet-ip\"\nbind = \"{own}\"\n[[bus.drive]]\nname = \"m\"\ndivisor = 8\n\
+         address = \"{moons}\"\nsimulate.serial = 13\n\
+         [[bus]]\nprotocol = \"linudp-v2\"\nbind = \"{own}\"\n[[bus.drive]]\nname = \"l\"\naddress = \"{linmot}\"\n\
+         serial_from = \"0x0066\"\nsimulate.serial = 14\n",
+        patient_cycle(),
+        line(&machine),
+    );
+    let config = machine.write("pin.toml", text.clone());
+    let _sim = serve(&config);
+    let pin = |arguments: &[&str]| {
+        let own = [OsStr::new("pin"), config.as_os_str()];
+        Program::start(own.into_iter().chain(arguments.iter().map(OsStr::new))).end()
+    };
+    let lines = [
+        "e: serial = 0x0000000a",
+        "e: alias = 11",
+        "u: serial = 12000000001",
+        "m: product = 1",
+        "m: serial = 0x0000000d",
+        "l: serial = 14",
+    ];
+    let ended = pin(&[]);
+    assert_eq!(ended.expect(0).out.lines().collect::<Vec<_>>(), lines, "{}", ended.err);
+    assert_eq!(std::fs::read_to_string(&config).unwrap(), text, "only printed");
+    pin(&["--write"]).expect(0);
+    let written = std::fs::read_to_string(&config).unwrap();
+    assert!(written.contains("name = \"e\"  # on the left\nserial = 0x0000000a\nalias = 11\n"), "{written}");
+    let ended = pin(&[]);
+    ended.expect(0);
+    assert_eq!(ended.out.matches("as in the file").count(), lines.len(), "{}", ended.out);
+    machine.write("pin.toml", written.replace("alias = 11\nwatchdog", "alias = 12\nwatchdog"));
+    let ended = pin(&["--write"]);
+    ended.expect(1);
+    let said =
+        "e: alias = 11 is what the drive reports, and not what the file has: drives or cables are exchanged";
+    assert!(ended.err.contains(said), "{}", ended.err);
 }

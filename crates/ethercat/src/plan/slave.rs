@@ -202,11 +202,6 @@ impl Area {
 }
 
 impl Expected {
-    /// It is known from another one of its kind.
-    pub const fn is_single(&self) -> bool {
-        self.serial.is_some() || self.alias.is_some() || self.identification.is_some()
-    }
-
     /// Its SII has a part of this.
     pub(crate) const fn is_in_sii(&self) -> bool {
         self.vendor.is_some() || self.product.is_some() || self.revision.is_some() || self.serial.is_some()
