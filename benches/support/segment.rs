@@ -86,7 +86,7 @@ fn device(place: u16, model: Model) -> Device {
     };
     let mailbox = [0x1000, 0x1080].map(|start| Area { start, length: 128 });
     let Identity { vendor, product, .. } = model.identity();
-    let identity = Expected { vendor: Some(vendor), product: Some(product), revision: None };
+    let identity = Expected { vendor: Some(vendor), product: Some(product), ..Expected::default() };
     let mailbox = (model == Model::El3102).then_some(mailbox);
     let slave = SlavePlan { identity, mailbox, outputs, inputs, ..SlavePlan::new(place) };
     Device { name: format!("t{place}"), slave }

@@ -174,7 +174,8 @@ fn what_is_wrong_with_a_slave_is_named_once_and_a_device_is_accessed_through_its
 
     let mut master = master(&config, &["--json", "--metrics", &format!("{}:0", machine.ip(1))]);
     let address = metrics::endpoint(&mut master);
-    let why = "place 1: its product is 0x03000600: correct product, or the order of the segment";
+    let why =
+        "place 1: its product is 0x03000600, not 0x03000700: correct product, or the order of the segment";
     let moves = format!("drive moves: not connected: {why}");
     let named = [
         moves.as_str(),

@@ -112,8 +112,8 @@ impl Search<'_> {
                 match table.and_then(|table| table.get(*key)).map(|given| is(given.get_ref(), value)) {
                     Some(true) => print(format_args!("{name}: {line}, as in the file"))?,
                     Some(false) => wrong.push(format!(
-                        "{name}: {line} is what the drive reports, and not what the file has: drives or cables \
-                         are exchanged, or correct {key}"
+                        "{name}: {line} is what the drive reports, and not what the file has: drives or \
+                         cables are exchanged, or correct {key}"
                     )),
                     None => {
                         print(format_args!("{name}: {line}"))?;
@@ -195,8 +195,8 @@ mod tests {
         let text = "a = 1\n[[bus]]\n[[bus.drive]]\nname = \"x\"  # left\n\n[[bus.drive]]\nname = \"y\"";
         let at = |name: &str| text.find(name).map(|at| at + name.len()).unwrap();
         let added = [(at("\"y\""), "serial = 2".into()), (at("\"x\""), "serial = 1".into())];
-        let expected = "a = 1\n[[bus]]\n[[bus.drive]]\nname = \"x\"  # left\nserial = 1\n\n[[bus.drive]]\nname = \
-                        \"y\"\nserial = 2";
+        let expected = "a = 1\n[[bus]]\n[[bus.drive]]\nname = \"x\"  # left\nserial = 1\n\n[[bus.drive]]\n\
+                        name = \"y\"\nserial = 2";
         assert_eq!(with(text, &added), expected);
     }
 

@@ -196,6 +196,9 @@ impl MoonsDrive {
     /// What the kind of the connection rules out.
     fn connection_faults(&self) -> Vec<PlanFault> {
         let mut faults = Vec::new();
+        if !self.cyclic {
+            return faults;
+        }
         let mut wrong = |key, message: &str| faults.push(PlanFault::new(key, message));
         let is_first = self.version == Some(Version::V1);
         if is_first && self.is_owned() {

@@ -38,7 +38,7 @@ pub mod wire;
 
 pub use native::{Native, NativeInputs, NativeOutput, NativeProfile};
 pub use plan::{
-    Access, Delivery, EnableInput, EthernetIpPlan, Explicit, Homing, HomingMethod, IO_PORT, Layout,
+    Access, Delivery, EnableInput, EthernetIpPlan, Expected, Explicit, Homing, HomingMethod, IO_PORT, Layout,
     MoonsDrive, Originator, PORT, Version, Watchdog,
 };
 pub use wire::assembly::{Condition, Inputs, IoCode, Letters, NoIoCode, Outputs, command, status};

@@ -116,8 +116,8 @@ pub struct MoonsDrive {
 }
 
 /// Which device has to be at the address of a drive; what is left out may be any. It is compared with its identity
-/// object in each session, before a connection is opened; vendor and product go with each opening, too, as an electronic
-/// key.
+/// object in each session, before a connection is opened; vendor and product go with each opening, too, as an
+/// electronic key.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Expected {
     /// Its vendor.

@@ -1,9 +1,10 @@
 //! The handshake on a new connection before the loop gets it: it reads what the drive is and does. On a normal
 //! thread, one request after the other.
 //!
-//! It reads the unit id, the serial number if that is configured, every cyclic parameter, and the drive's control source and watchdog, all by FC03. Whether
-//! the drive has FC23 is shown by the first exchange that writes: a server may ignore a request that is only made
-//! to find out, or close on it. It writes only the set-up of menu 0, and that only to a drive that does not run.
+//! It reads the unit id, the serial number if that is configured, every cyclic parameter, and the drive's control
+//! source and watchdog, all by FC03. Whether the drive has FC23 is shown by the first exchange that writes: a server
+//! may ignore a request that is only made to find out, or close on it. It writes only the set-up of menu 0, and that
+//! only to a drive that does not run.
 //! The settings that make the drive follow the control word are written by the station, with the first command that
 //! needs them.
 

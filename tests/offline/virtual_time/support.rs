@@ -256,6 +256,7 @@ pub fn drive(index: usize) -> LinUdpDrive {
             ..AxisPlan::new(format!("x{index}"), Units::millimetres(PER_MM))
         },
         address: address(index),
+        serial: None,
         stream: Some(StreamCommand::Pva),
         monitor: MonitorPlan::Off,
         reply_tag: ReplyTag::default(),

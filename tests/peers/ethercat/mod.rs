@@ -61,7 +61,7 @@ fn segment(family: Family, drives: u16, short_clocks: bool) -> EthercatSegment {
         |place: u16| DriveSettings { serial: 100 + u32::from(place), ..DriveSettings::new(family) };
     let mut plan = EthercatPlan::new(WIRE, (1..=drives).map(|place| patient(place, family)).collect());
     let slave = SlavePlan {
-        identity: Expected { vendor: Some(2), product: Some(0x044C_2C52), revision: None },
+        identity: Expected { vendor: Some(2), product: Some(0x044C_2C52), ..Expected::default() },
         outputs: vec![Area { start: 0x1000, length: 1 }],
         inputs: vec![Area { start: 0x1100, length: 1 }],
         watchdog: PATIENT,

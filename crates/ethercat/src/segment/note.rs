@@ -229,7 +229,7 @@ impl Note {
             Note::Slow { to, within_ms } => number(0x87, to.number().into(), within_ms),
             Note::StartUp { object, abort } => number(0x88, object.key(), abort.0),
             Note::OwnValue { object, abort } => number(0x94, object.key(), abort.0),
-            Note::Omitted { object, abort } => number(0x95, object.key(), abort.0),
+            Note::Omitted { object, abort } => number(0x98, object.key(), abort.0),
             Note::WaitsForLock(error) => {
                 number(0x89, u32::from(error.is_some()), error.unwrap_or_default().cast_unsigned())
             }
@@ -275,7 +275,7 @@ impl Note {
             0x87 => Note::Slow { to: state(), within_ms: low },
             0x88 => Note::StartUp { object: object(), abort: AbortCode(low) },
             0x94 => Note::OwnValue { object: object(), abort: AbortCode(low) },
-            0x95 => Note::Omitted { object: object(), abort: AbortCode(low) },
+            0x98 => Note::Omitted { object: object(), abort: AbortCode(low) },
             0x89 => Note::WaitsForLock((high != 0).then_some(low.cast_signed())),
             0x8a => Note::Differs { object: object(), found: low },
             0x8b => Note::Unanswered {
@@ -323,7 +323,10 @@ impl Note {
             .into(),
             Note::Vendor(found) => {
                 let wanted = wanted(expected.vendor);
-                format!("its vendor is {found:#010x}, not {wanted}: correct vendor, or the order of the segment")
+                format!(
+                    "its vendor is {found:#010x}, not {wanted}: correct vendor, or the order of the \
+                     segment"
+                )
             }
             Note::Product(found) => {
                 let wanted = wanted(expected.product);
@@ -350,8 +353,8 @@ impl Note {
                  another drive"
             ),
             Note::NoIdentification => {
-                "it does not identify itself on request (AL control bit 5): leave identification out, and use \
-                 alias or serial"
+                "it does not identify itself on request (AL control bit 5): leave identification out, and \
+                 use alias or serial"
                     .into()
             }
             Note::WrongPlace(other) => {
@@ -425,8 +428,8 @@ impl Note {
                 abort.name().unwrap_or("not known")
             ),
             Note::Omitted { object: Object { index: 0x60C2, sub }, abort } => format!(
-                "it does not take the cycle time (0x60c2:{sub}): abort code {:#010x} ({}); it has to find its \
-                 cycle by SYNC0, or by a parameter of its own: compare that with period",
+                "it does not take the cycle time (0x60c2:{sub}): abort code {:#010x} ({}); it has to find \
+                 its cycle by SYNC0, or by a parameter of its own: compare that with period",
                 abort.0,
                 abort.name().unwrap_or("not known")
             ),

@@ -258,8 +258,8 @@ impl Station {
         }
     }
 
-    /// A reply of a drive that may be another one: of all that it says only its serial number counts, and the exchange is
-    /// a missed one.
+    /// A reply of a drive that may be another one: of all that it says only its serial number counts, and the exchange
+    /// is a missed one.
     #[cold]
     fn identify(&mut self, view: &ResponseView<'_>, in_window: bool, slot: &mut Slot) {
         let is_owed = matches!(slot.exchange, Exchange::Owed { .. });

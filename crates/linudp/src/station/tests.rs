@@ -177,8 +177,9 @@ fn every_fourth_probe_that_goes_out_has_all_blocks() {
 /// A drive may have been exchanged whenever its link was down.
 #[test]
 fn a_reply_counts_once_the_drive_has_said_its_serial_number_and_after_each_loss_anew() {
-    let serial = Some(Serial { from: Upid(0x66), number: Some(7) });
-    let mut b = Bench::new(&LinUdpDrive { serial, ..LinUdpDrive::new("x", Ipv4Addr::LOCALHOST) });
+    let serial = Serial { from: Upid(0x66), number: Some(7) };
+    let mut b =
+        Bench::new(&LinUdpDrive { serial: Some(serial), ..LinUdpDrive::new("x", Ipv4Addr::LOCALHOST) });
     // The link, the number of the drive, whether it is asked for it, and whether the next reply counts.
     for (link, number, is_asked, counts) in [
         (Link::Unseen, 8, true, false),
@@ -211,7 +212,7 @@ fn a_reply_counts_once_the_drive_has_said_its_serial_number_and_after_each_loss_
         assert_eq!((is_answered, b.station.who.is_known()), (!is_asked, counts), "{link:?} {number}");
     }
     let note = b.station.serial_note();
-    assert_eq!(note.text(serial.unwrap()), None);
+    assert_eq!(note.text(serial), None);
     // A link that stays down, and a probe that was not answered.
     b.slot.link = Link::Lost;
     for is_known in [false, false] {

@@ -371,7 +371,6 @@ fn drive(plan: &KollmorgenDrive, settings: &DriveSettings, segment: &SegmentSett
         managers: managers(&plan.slave, segment.slaves.get(&plan.slave.place), outputs),
         inputs: vec![pdo(&plan.inputs, 3)],
         outputs: vec![pdo(&plan.outputs, 2)],
-        ..Contents::default()
     };
     let is_running = settings.running_rpm.is_some();
     let hardware = hardware(segment, &plan.slave, &contents, false);

@@ -95,8 +95,8 @@ impl SimBus for MoonsDrives {
 }
 
 impl MoonsSettings {
-    /// A drive with default settings at the address of `drive`, wired as that one expects it: identity, steps of a revolution,
-    /// encoder, layout, version, enable input, and a home switch half way along its homing.
+    /// A drive with default settings at the address of `drive`, wired as that one expects it: identity, steps of a
+    /// revolution, encoder, layout, version, enable input, and a home switch half way along its homing.
     pub fn of(drive: &MoonsDrive) -> MoonsSettings {
         let mut settings = MoonsSettings::new(drive.address);
         let steps = drive.steps_per_revolution.round();
