@@ -25,6 +25,7 @@ use fieldbeat::config::{self, Configuration};
 use fieldbeat::sim::WorldOptions;
 use fieldbeat::{Master, Simulation};
 use fieldbeat_config::schema;
+use fieldbeat_core::bus::diagnosis::Row;
 use serde_json::Value;
 
 /// The program as a user has it.
@@ -514,6 +515,19 @@ fn every_counter_of_a_protocol_is_explained() {
     assert!(counters.len() > 20, "{counters:?}");
     for counter in counters {
         assert!(page.text.contains(&format!("`{}`", counter.key)), "{}", counter.key);
+    }
+}
+
+#[test]
+fn the_tables_of_diagnosis_are_those_of_the_protocols() {
+    let page = Page::read("docs/src/diagnosis.md");
+    let plans = PARTS.map(|(_, machine)| config::parse(machine, "m.toml").unwrap().plan);
+    let tables: Vec<_> = plans.iter().flat_map(|plan| &plan.buses).map(|bus| bus.diagnosis()).collect();
+    assert!(tables.len() >= 5 && tables.iter().all(|rows| rows.len() > 1));
+    for rows in tables {
+        let cells = |Row { symptom, says, remedy, .. }: &Row| format!("| {symptom} | {says} | {remedy} |\n");
+        let table: String = rows.iter().map(cells).collect();
+        assert!(page.text.contains(&format!("|---|---|---|\n{table}\n")), "not in diagnosis.md:\n{table}");
     }
 }
 

@@ -261,8 +261,9 @@ fn a_drive_that_nobody_answers_for_is_told_after_a_while() {
     let machine = Machine::new(85);
     let config = machine.plain(2);
     let silent = socket(machine.drive(1));
-    ask("param get", &config, "d0 0x20A8")
-        .failed(&["drive d0 does not answer; look at its power, cable and address"]);
+    ask("param get", &config, "d0 0x20A8").failed(&[
+        "drive d0 cannot be reached: nothing has ever come from it: look at its power, cable and ",
+    ]);
     // Who is tired of waiting is told that nothing has happened.
     let waiting = asking("param set", &config, "d0 monitor-source-1 1");
     waiting.await_handler(SIGINT);

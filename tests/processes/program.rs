@@ -112,7 +112,8 @@ fn the_demo_runs_by_itself_and_its_json_has_every_key() {
          cycle.reference.silent cycle.reference.error_ns cycle.reference.step_max_ns wake_ns jitter_ns \
          stages_ns stages_ns.send stages_ns.receive stages_ns.evaluate stages_ns.commands stages_ns.prepare \
          stages_ns.publish late late.threshold_ns late.count late.causes late.newest black_boxes recordings \
-         failures drives drives.name drives.protocol drives.link drives.not_connected drives.state \
+         failures drives drives.name drives.protocol drives.link drives.not_connected drives.diagnosis \
+         drives.state \
          drives.losses drives.sent drives.answered drives.missed drives.late drives.duplicate \
          drives.rejected drives.suspect drives.unsent drives.rtt_ns drives.send_jitter_ns drives.age_ns \
          drives.age_cycles drives.protocol_counters drives.position drives.inhibited drives.stopped \

@@ -200,8 +200,8 @@ fn stations_are_listed_by_a_scan_that_leaves_them_as_they_are_and_a_master_alone
     let sim = simulation(&config);
     let table = scan(&[]).end();
     let rows = rows(&table);
-    assert_eq!(rows[0], ["address", "ident", "master", "watchdog", "state"]);
-    assert_eq!((rows.len(), &rows[1][..4]), (3, &["3", "0x0082", "-", "off"][..]));
+    assert_eq!(rows[0], ["address", "ident", "configuration", "master", "watchdog", "state"]);
+    assert_eq!((rows.len(), &rows[1][..6]), (3, &["3", "0x0082", "[0xF3,", "0xF1]", "-", "off"][..]));
     // Nobody has parametrised them, and the scan has not either.
     let found = scan(&["--json"]).end().expect(0).json();
     assert_eq!((&found["device"], &found["rate"]), (&device.as_str().into(), &1_500_000.into()));
@@ -211,6 +211,7 @@ fn stations_are_listed_by_a_scan_that_leaves_them_as_they_are_and_a_master_alone
     for station in stations {
         let read = (&station["ident"], &station["master"], &station["watchdog"]);
         assert_eq!(read, (&0x82.into(), &Value::Null, &false.into()), "{station}");
+        assert_eq!(station["configuration"], serde_json::json!([0xF3, 0xF1]), "{station}");
         let status = station["status"].as_array().unwrap();
         assert!(status.contains(&"parametrisation requested".into()), "{station}");
     }

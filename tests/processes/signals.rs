@@ -53,7 +53,7 @@ fn expect_order(ended: &Ended, hurried: bool) -> bool {
     };
     let last = ended.err.lines().last().and_then(|line| line.strip_prefix("fieldbeat: ")).unwrap_or_default();
     let fed = last.starts_with("stopped: ") && last.split('(').skip(1).all(is_known);
-    let late = last.starts_with("answered after the receive deadline: ");
+    let late = last.starts_with("lost on the way: ") || last.starts_with("not online: ");
     let left = hurried && last.starts_with("drive ") && last.contains(" at the end (");
     ended.expect(i32::from(fed || late || left));
     fed || late || left

@@ -382,5 +382,5 @@ fn what_is_no_wire_is_named_in_one_line_with_the_remedy() {
     master.await_text(&format!("drive infeed: not connected: {why}"));
     let ended = master.end();
     let last = ended.expect(1).err_but_host().lines().last().unwrap();
-    assert_eq!(last, format!("fieldbeat: never answered: infeed, outfeed ({why})"));
+    assert_eq!(last, format!("fieldbeat: not online: infeed, outfeed ({why})"));
 }

@@ -48,6 +48,7 @@ macro_rules! forward_bus_plan {
             fn wire_us(&self) -> Option<usize>;
             fn describe_turns(&self, grid: fieldbeat::bus::Grid) -> Option<String>;
             fn own_counters(&self) -> &'static [fieldbeat_core::bus::OwnCounter];
+            fn diagnosis(&self) -> &'static [fieldbeat_core::bus::diagnosis::Row];
             fn capabilities(&self, index: usize, period_ns: u64) -> fieldbeat_core::bus::desired::Capabilities;
             fn fault_names(&self) -> fieldbeat_core::axis::feedback::FaultNames;
             fn has_clock(&self) -> bool;

@@ -181,7 +181,7 @@ impl Handler {
                 Link::Online if *known != Link::Unseen => {
                     self.live.say(&format!("drive {name}: back online"))
                 }
-                Link::Lost => self.live.say(&format!("drive {name}: lost, it no longer answers")),
+                Link::Lost => self.live.say(&format!("drive {name}: lost")),
                 Link::Online | Link::Unseen | Link::Qualifying => {}
             }
             if link != Link::Qualifying {
@@ -200,7 +200,9 @@ impl Handler {
         let drives = master.observers().iter().zip(&mut self.drives);
         for (index, ((name, observer), known)) in drives.enumerate() {
             let feedback = observer.feedback();
-            let why = known.stands(feedback.link, now, || master.not_connected(index));
+            // Also while it is online: what is counted from then on tells why it is not.
+            let why = master.not_connected(index);
+            let why = known.stands(feedback.link, now, || why);
             let apart = why.map(|why| format!("not connected: {why}"));
             let other = known.other_master(feedback.stopped);
             for news in apart.into_iter().chain(known.fault(feedback.status.fault)).chain(other) {

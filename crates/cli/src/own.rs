@@ -4,6 +4,7 @@ use std::thread::sleep;
 use std::time::{Duration, Instant};
 
 use fieldbeat_core::axis::{Axis, Link};
+use fieldbeat_core::bus::diagnosis::NOT_YET;
 use fieldbeat_master::Master;
 use fieldbeat_tools::{Drive, OwnMaster, Task};
 
@@ -94,10 +95,9 @@ fn await_idle(master: &Master, axis: &Axis, interrupt: &Interrupt) -> Result<(),
             return Err(Stop::failed("interrupted; nothing was moved"));
         }
         if begun.elapsed() > PATIENCE {
-            let name = axis.name();
-            return Err(Stop::failed(format!(
-                "drive {name} does not answer; look at its power, cable and address"
-            )));
+            let (name, why) = (axis.name(), master.not_connected(0));
+            let why = why.as_deref().unwrap_or(NOT_YET);
+            return Err(Stop::failed(format!("drive {name} cannot be reached: {why}")));
         }
         sleep(LOOK_EVERY);
         master.alive();

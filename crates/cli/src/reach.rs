@@ -9,6 +9,7 @@ use std::time::{Duration, Instant};
 use fieldbeat_control::{AskError, Remote};
 use fieldbeat_core::axis::Acyclic;
 use fieldbeat_core::axis::acyclic::{Access, Call, CallError, Carrier, Notation};
+use fieldbeat_core::bus::diagnosis::NOT_YET;
 use fieldbeat_core::cycle::Plan;
 use fieldbeat_core::net::Os;
 use fieldbeat_master::{Master, StartError};
@@ -162,10 +163,8 @@ fn alone(plan: &Plan, drive: &str, interrupt: &Interrupt) -> Result<Way, Stop> {
             since = Instant::now();
         }
         if since.elapsed() > PATIENCE {
-            return Err(Stop::failed(match why {
-                Some(why) => format!("drive {drive} cannot be reached: {why}"),
-                None => format!("drive {drive} does not answer; look at its power, cable and address"),
-            }));
+            let why = why.as_deref().unwrap_or(NOT_YET);
+            return Err(Stop::failed(format!("drive {drive} cannot be reached: {why}")));
         }
         sleep(LOOK_EVERY);
     }

@@ -7,6 +7,7 @@ use clap::Args;
 use fieldbeat_config::{Loaded, load_machine};
 use fieldbeat_control::Station;
 use fieldbeat_core::axis::Axis;
+use fieldbeat_core::bus::diagnosis::NOT_YET;
 use fieldbeat_core::rt::thread::helper_thread;
 use fieldbeat_core::time::MS;
 use fieldbeat_master::{Master, Setup};
@@ -81,11 +82,11 @@ pub fn start(setup: Setup, interrupt: &Interrupt) -> Result<Master, Stop> {
     Ok(master)
 }
 
-/// Drives by name, each with the reason why it has no connection; one that several share is given once.
+/// Drives by name, each with the reason why it is or was not online; one that several share is given once.
 fn with_reasons(drives: &[&Drive]) -> String {
     let mut groups: Vec<(Option<&str>, Vec<&str>)> = Vec::new();
     for drive in drives {
-        let why = drive.not_connected.as_deref();
+        let why = drive.diagnosis.as_deref().or((drive.losses == 0).then_some(NOT_YET));
         match groups.iter_mut().find(|(known, _)| *known == why) {
             Some((_, names)) => names.push(&drive.name),
             None => groups.push((why, vec![&drive.name])),
@@ -98,48 +99,25 @@ fn with_reasons(drives: &[&Drive]) -> String {
     named.collect::<Vec<_>>().join(", ")
 }
 
-/// One line that names the drives which made the run a failure, and what to look at.
+/// One line that names the drives which made the run a failure, and what to do.
 pub fn not_whole(summary: &Summary) -> Stop {
-    let chosen = |what: &dyn Fn(&Drive) -> bool| -> Vec<&Drive> {
-        summary.drives.iter().filter(|drive| what(drive)).collect()
+    let chosen = |what: &str, chosen: &dyn Fn(&Drive) -> bool| {
+        let drives: Vec<&Drive> = summary.drives.iter().filter(|drive| chosen(drive)).collect();
+        (!drives.is_empty()).then(|| (what.to_owned(), drives))
     };
-    // The reason says what to look at, where it is known.
-    let of_link = |what: &str, drives: Vec<&Drive>, remedy: &str| {
-        let is_open = drives.iter().any(|drive| drive.not_connected.is_none());
-        let remedy = if is_open { remedy } else { "" };
-        (!drives.is_empty()).then(|| format!("{what}: {}{remedy}", with_reasons(&drives)))
-    };
-    let of_host = |what: &str, drives: Vec<&Drive>, remedy: &str| {
+    let of_link = |(what, drives): (String, Vec<&Drive>)| format!("{what}: {}", with_reasons(&drives));
+    let overrun = chosen("stopped by an overrun", &Drive::was_overrun).map(|(what, drives)| {
         let names: Vec<&str> = drives.iter().map(|drive| drive.name.as_str()).collect();
-        (!names.is_empty()).then(|| format!("{what}: {}; {remedy}", names.join(", ")))
-    };
+        format!(
+            "{what}: {}; this computer was too late for more slots than max_skip or max_skip_rate allow: \
+             give the loop its rights and a core of its own",
+            names.join(", ")
+        )
+    });
     let lines: Vec<String> = [
-        of_link(
-            "never answered",
-            chosen(&|drive| drive.answered == 0 && !drive.is_late()),
-            "; look at their power, cables and addresses",
-        ),
-        of_link(
-            "lost on the way",
-            chosen(&|drive| drive.losses > 0 && !drive.is_late()),
-            "; look at their power and cables",
-        ),
-        of_host(
-            "answered after the receive deadline",
-            chosen(&|drive| (drive.answered == 0 || drive.losses > 0) && drive.is_late()),
-            "raise receive_deadline or the period, or look at what holds them or this computer up",
-        ),
-        of_link(
-            "not online at the end",
-            chosen(&|drive| drive.answered > 0 && drive.losses == 0 && !drive.is_online()),
-            "",
-        ),
-        of_host(
-            "stopped by an overrun",
-            chosen(&|drive| drive.was_overrun()),
-            "this computer was too late for more slots than max_skip or max_skip_rate allow: give the loop \
-             its rights and a core of its own",
-        ),
+        chosen("not online", &|drive| drive.losses == 0 && !drive.is_online()).map(of_link),
+        chosen("lost on the way", &|drive| drive.losses > 0).map(of_link),
+        overrun,
     ]
     .into_iter()
     .flatten()

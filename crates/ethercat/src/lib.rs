@@ -8,6 +8,7 @@
 //! | `plan` | the segment as configured |
 //! | `config` | by that feature: its keys in a configuration, what a first one has, and `fieldbeat ethercat` |
 //! | `counters` | counters that only EtherCAT has |
+//! | `diagnosis` | why a drive is not online |
 //! | `bus` | stations, devices and frames as one bus |
 //! | `image` | the process data of the segment, and its frames |
 //! | `segment` | bringing the slaves to OP, and the clock of the segment |
@@ -35,6 +36,7 @@ pub mod wire;
 pub mod bus;
 #[cfg(feature = "config")]
 pub mod config;
+pub mod diagnosis;
 mod fields;
 pub mod image;
 pub mod native;

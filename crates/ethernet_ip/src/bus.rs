@@ -4,12 +4,13 @@ use std::net::{Ipv4Addr, SocketAddrV4};
 use std::os::fd::RawFd;
 use std::sync::Arc;
 
+use super::counters::Own;
 use super::exchange;
 use super::plan::{Delivery, EthernetIpPlan, IO_PORT};
 use super::session::{HANDSHAKE_NS, Session};
 use super::station::{ROOM, Station};
 use super::target::commanding;
-use super::wire::io::{Outgoing, Packet};
+use super::wire::io::{Outgoing, Packet, PacketError};
 use fieldbeat_core::axis::acyclic;
 use fieldbeat_core::bus::native::{NativeBytes, WantedOutputs};
 use fieldbeat_core::bus::{Bus, Cycle, Ends, Notes, OpenError, Slot, Unmatched, drives};
@@ -55,12 +56,17 @@ impl std::fmt::Debug for EthernetIpBus {
 #[derive(Debug)]
 struct SessionNotes {
     sessions: Vec<LinkNotes>,
+    remarks: Vec<LinkNotes>,
     links: LinkNotes,
 }
 
 impl Notes for SessionNotes {
     fn get(&self, index: usize) -> Option<String> {
         self.sessions.get(index).and_then(|notes| notes.get(0)).or_else(|| self.links.get(index))
+    }
+
+    fn remark(&self, index: usize) -> Option<String> {
+        self.remarks.get(index)?.get(0)
     }
 }
 
@@ -93,13 +99,15 @@ impl EthernetIpBus {
             remedy: remedy(&source),
             source,
         })?;
-        let (mut stations, mut peers, mut notes) = (Vec::new(), Vec::new(), Vec::new());
+        let (mut stations, mut peers) = (Vec::new(), Vec::new());
+        let (mut notes, mut remarks) = (Vec::new(), Vec::new());
         let mut of_application = Vec::new();
         for (index, drive) in plan.drives.iter().enumerate() {
             let (loop_end, session_end) = exchange::both();
             let (calls, port) = acyclic::queue(drive.axis.parameter_queue, commanding());
             let session = Session::new(plan, index, period_ns, session_end, port, net.groups());
             notes.push(session.notes());
+            remarks.push(session.remarks());
             peers.push(StreamPeer {
                 // Drives compare the source of packets with the peer of their session.
                 bind: Some(*plan.bind.ip()),
@@ -137,7 +145,7 @@ impl EthernetIpBus {
             by_address,
             unmatched: Unmatched::default(),
             ends,
-            notes: Arc::new(SessionNotes { sessions: notes, links: sessions.notes() }),
+            notes: Arc::new(SessionNotes { sessions: notes, remarks, links: sessions.notes() }),
             sessions,
             _locks: locks,
         }))
@@ -161,7 +169,7 @@ impl EthernetIpBus {
                 }
                 let Ok(place) = by_address.binary_search_by_key(&source, |(ip, _)| *ip) else {
                     unmatched.datagrams += 1;
-                    return;
+                    return from_elsewhere(&packet, stations, slots);
                 };
                 let Some((_, index)) = by_address.get(place).copied() else { return };
                 let (Some(station), Some(slot)) = (stations.get_mut(index), slots.get_mut(index)) else {
@@ -185,6 +193,18 @@ impl EthernetIpBus {
                 }
             }
         }
+    }
+}
+
+/// A packet from an address that no drive has: with the id of a drive's connection, it counts there.
+#[cold]
+fn from_elsewhere(packet: &Result<Packet<'_>, PacketError>, stations: &[Station], slots: &mut [Slot]) {
+    let Ok(Packet { connection, .. }) = *packet else { return };
+    let index = (connection >> 16) as usize;
+    if let (Some(station), Some(slot)) = (stations.get(index), slots.get_mut(index))
+        && station.has(connection)
+    {
+        Own::WrongSource.count(&mut slot.counters);
     }
 }
 

@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use super::bus::EthernetIpBus;
 use super::counters::OWN;
+use super::diagnosis::DIAGNOSIS;
 use super::fields::layout;
 use super::notation::Addresses;
 use super::plan::{Delivery, EthernetIpPlan, MoonsDrive};
@@ -15,6 +16,7 @@ use fieldbeat_core::axis::acyclic::{Call, Notation};
 use fieldbeat_core::axis::feedback::MONITOR_CHANNELS;
 use fieldbeat_core::axis::{AxisPlan, FaultNames, FoundRunning, MonitorChannel, PlanFault};
 use fieldbeat_core::bus::desired::Capabilities;
+use fieldbeat_core::bus::diagnosis::Row;
 use fieldbeat_core::bus::native::NativeLayout;
 use fieldbeat_core::bus::variant::Variant;
 use fieldbeat_core::bus::{Bus, BusPlan, OpenError, OwnCounter, drives};
@@ -84,6 +86,10 @@ impl BusPlan for EthernetIpPlan {
             let cause = alarms(word).find(|alarm| alarm.fault).or_else(|| alarms(word).next());
             cause.map(|alarm| alarm.name)
         }
+    }
+
+    fn diagnosis(&self) -> &'static [Row] {
+        &DIAGNOSIS
     }
 
     fn notation(&self) -> Arc<dyn Notation> {

@@ -14,6 +14,7 @@
 //! | `station` | the master's view of one drive: its connection, its packets, its report |
 //! | `native`, `fields`, `counters` | native process data, and as a recording shows them; counts |
 //! | `bus` | stations, sessions and one socket as one bus |
+//! | `diagnosis` | why a drive is not online |
 //!
 //! What follows is the reference of docs/ for its configuration.
 #![doc = include_str!("../files/configuration-ethernet-ip.md")]
@@ -24,6 +25,7 @@ mod check;
 #[cfg(feature = "config")]
 pub mod config;
 mod counters;
+pub mod diagnosis;
 mod edges;
 pub mod exchange;
 mod fields;

@@ -195,6 +195,11 @@ impl Station {
         matches!(&self.connection, Some(open) if open.incoming == incoming && open.source == source)
     }
 
+    /// The connection of this id is open here, whatever address a packet of it comes from.
+    pub(super) fn has(&self, incoming: u32) -> bool {
+        matches!(&self.connection, Some(open) if open.incoming == incoming)
+    }
+
     /// Takes in what the session has to say. Returns where packets go from now on, if that is new.
     #[inline]
     pub fn hear(&mut self, cycle: &Cycle, slot: &mut Slot) -> Option<SocketAddrV4> {

@@ -4,6 +4,7 @@ use std::net::{Ipv4Addr, SocketAddrV4};
 use std::os::fd::RawFd;
 use std::sync::Arc;
 
+use super::diagnosis::DIAGNOSIS;
 use super::fields::layout;
 use super::last::LastStop;
 use super::notation::Upids;
@@ -15,6 +16,7 @@ use fieldbeat_core::axis::acyclic::Notation;
 use fieldbeat_core::axis::feedback::MONITOR_CHANNELS;
 use fieldbeat_core::axis::{AxisPlan, FaultNames, FoundRunning, MonitorChannel, PlanFault};
 use fieldbeat_core::bus::desired::Capabilities;
+use fieldbeat_core::bus::diagnosis::Row;
 use fieldbeat_core::bus::native::{NativeBytes, NativeLayout, WantedOutputs};
 use fieldbeat_core::bus::variant::Variant;
 use fieldbeat_core::bus::{Bus, BusPlan, Cycle, Ends, LastResort, Notes, OpenError, Slot, Unmatched, drives};
@@ -322,6 +324,10 @@ impl BusPlan for LinUdpPlan {
 
     fn fault_names(&self) -> FaultNames {
         |code| u16::try_from(code).ok().and_then(|code| ErrorCode(code).name())
+    }
+
+    fn diagnosis(&self) -> &'static [Row] {
+        &DIAGNOSIS
     }
 
     fn notation(&self) -> Arc<dyn Notation> {

@@ -15,6 +15,7 @@
 //! | `upid`, `notation` | parameters by number and name; how people write and list them |
 //! | `native`, `fields` | unscaled process data for the application, and as a recording shows them |
 //! | `bus` | all drives on one socket |
+//! | `diagnosis` | why a drive is not online |
 //! | `last` | their stop without the loop |
 //! | `plan` | the bus as configured |
 //! | `config` | by that feature: its keys in a configuration, what a first one has, its curves and command tables as files, and `fieldbeat linmot` |
@@ -29,6 +30,7 @@ mod channel;
 #[cfg(feature = "config")]
 pub mod config;
 pub mod curve;
+pub mod diagnosis;
 mod fields;
 mod last;
 pub mod motion;

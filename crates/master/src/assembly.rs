@@ -10,6 +10,7 @@ use fieldbeat_core::axis::doorbell::Bells;
 use fieldbeat_core::axis::handle::{URGENT_ROOM, most_unended, room_for_ends};
 use fieldbeat_core::axis::newest;
 use fieldbeat_core::axis::{Axis, AxisEnds, Feedback, Observer, Pulse};
+use fieldbeat_core::bus::diagnosis::Seen;
 use fieldbeat_core::bus::{BusClock, LastResort, OpenError, Unmatched};
 use fieldbeat_core::cycle::Plan;
 use fieldbeat_core::cycle::bound::{self, Paced};
@@ -160,7 +161,9 @@ pub fn assemble<C: Clock>(
             let acyclic = Acyclic::new(&axis.name, ends, bus_plan.notation(), observer.clone(), every);
             let (numbers_in, numbers) = cell::cell(DriveNumbers::default());
             let connection = notes.clone().map(|notes| (notes, index));
-            let info = AxisInfo { name: axis.name.clone(), protocol: bus_plan.protocol(), connection };
+            let (name, protocol, diagnosis) = (axis.name.clone(), bus_plan.protocol(), bus_plan.diagnosis());
+            let info =
+                AxisInfo { name, protocol, connection, diagnosis, seen: Seen::default(), bus: buses.len() };
             gauges.axes.push(AxisGauge { info: info.clone(), observer: observer.clone(), numbers });
             entries.push(AxisEntry { controller, outlet: AxisOutlet { info, numbers: numbers_in } });
             axes.push(Axis::new(

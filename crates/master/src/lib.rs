@@ -28,6 +28,7 @@ pub(crate) use self::watch::LoopWatch;
 use fieldbeat_core::axis::acyclic::{Acyclic, Parameters};
 use fieldbeat_core::axis::handle;
 use fieldbeat_core::axis::{Axis, Group, GroupError, Link, Pulse, StopCause};
+use fieldbeat_core::bus::diagnosis::NOT_YET;
 use fieldbeat_core::bus::{Cycle, OpenError};
 use fieldbeat_core::cycle::engine::Control;
 use fieldbeat_core::cycle::status::{AtEnd, Numbers};
@@ -138,11 +139,11 @@ pub enum MasterError {
     #[error(transparent)]
     NotAGroup(GroupError),
     /// Not all axes came online.
-    #[error("not online after {waited:?}: {missing}; look at their power, cables and addresses")]
+    #[error("not online after {waited:?}: {missing}")]
     NotOnline {
         /// How long the call waited.
         waited: Duration,
-        /// The axes that are missing, with the reason for those whose connection is not open.
+        /// The axes that are missing, each with the reason and what to do.
         missing: String,
     },
     /// Another master commands a drive, or has frames on its segment.
@@ -281,13 +282,10 @@ impl Master {
         }
     }
 
-    /// A drive that is not online, with the reason if it is known.
+    /// A drive that is not online, with the reason.
     fn absent(&self, index: usize) -> String {
-        let (name, _) = &self.observers()[index];
-        match self.not_connected(index) {
-            Some(why) => format!("{name} (not connected: {why})"),
-            None => name.clone(),
-        }
+        let why = self.not_connected(index);
+        format!("{} ({})", self.observers()[index].0, why.as_deref().unwrap_or(NOT_YET))
     }
 
     /// A sign of life for the heartbeat of the plan, if it has one. Accepted commands, rows and setpoints count as

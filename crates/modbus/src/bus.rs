@@ -5,24 +5,26 @@ use std::os::fd::RawFd;
 use std::sync::Arc;
 
 use super::counters::OWN;
+use super::diagnosis::DIAGNOSIS;
 use super::fields::layout;
 use super::handshake::{Found, UnidriveHandshake};
 use super::mapping::Mapping;
 use super::notation::Parameters;
 use super::plan::{ModbusPlan, UnidriveDrive, Via};
 use super::profile;
-use super::station::Station;
+use super::station::{SILENT, Station};
 use super::trips::Trip;
 use fieldbeat_core::axis::acyclic::Notation;
 use fieldbeat_core::axis::feedback::MONITOR_CHANNELS;
 use fieldbeat_core::axis::{AxisPlan, FaultNames, FoundRunning, MonitorChannel, PlanFault, SilenceFaults};
 use fieldbeat_core::bus::desired::Capabilities;
+use fieldbeat_core::bus::diagnosis::Row;
 use fieldbeat_core::bus::native::{NativeBytes, NativeLayout, WantedOutputs};
 use fieldbeat_core::bus::variant::Variant;
 use fieldbeat_core::bus::{
     Bus, BusPlan, Cycle, Ends, Exchange, Notes, OpenError, OwnCounter, Slot, Unmatched, drives,
 };
-use fieldbeat_core::net::{Broken, Carriers, Lock, StreamPeer, Streams};
+use fieldbeat_core::net::{Broken, Carriers, LinkNotes, Lock, StreamPeer, Streams};
 use fieldbeat_core::rt::Regions;
 use fieldbeat_core::time::Time;
 
@@ -149,6 +151,20 @@ fn give_up_broken(
     }
 }
 
+/// Why a connection is not open.
+#[derive(Debug)]
+struct ConnectionNotes(LinkNotes);
+
+impl Notes for ConnectionNotes {
+    fn get(&self, index: usize) -> Option<String> {
+        self.0.get(index)
+    }
+
+    fn is_vague(&self, index: usize) -> bool {
+        self.0.get(index).is_some_and(|why| why.ends_with(SILENT))
+    }
+}
+
 impl Bus for ModbusBus {
     fn name(&self) -> &str {
         &self.name
@@ -241,7 +257,7 @@ impl Bus for ModbusBus {
     }
 
     fn notes(&self) -> Option<Arc<dyn Notes>> {
-        Some(Arc::new(self.net.notes()))
+        Some(Arc::new(ConnectionNotes(self.net.notes())))
     }
 
     fn ends(&mut self) -> Option<&mut Ends> {
@@ -307,6 +323,10 @@ impl BusPlan for ModbusPlan {
 
     fn silence_faults(&self) -> SilenceFaults {
         |code| u16::try_from(code).is_ok_and(|code| Trip(code).is_of_silence())
+    }
+
+    fn diagnosis(&self) -> &'static [Row] {
+        &DIAGNOSIS
     }
 
     fn notation(&self) -> Arc<dyn Notation> {

@@ -16,6 +16,7 @@ own_counters! {
         Pieces = "pieces": "requests that the wire took in pieces",
         WrittenShort = "written_short": "blocks that the drive wrote in part only",
         NotTaken = "not_taken": "written values that read back as another one",
+        SecondReplies = "second_replies": "second replies to requests of a handshake",
         NoReadWrite = "no_fc23": "changes from FC23 to FC16 and FC3, since the drive does not answer FC23",
     }
 }

@@ -7,10 +7,14 @@
 //! only to a drive that does not run.
 //! The settings that make the drive follow the control word are written by the station, with the first command that
 //! needs them.
+//!
+//! It is as patient as the exchange: a drive that is busy (exceptions 05 and 06) gets the same request again, and a
+//! second reply to an earlier request is dropped. Both are counted.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
+use super::diagnosis::{MISFIT, REFUSED, SLOW, WRONG_ID};
 use super::mapping::{Block, Image, Mapping, Role};
 use super::parameter::{DRIVE_UNIT, Parameter, Width};
 use super::plan::UnidriveDrive;
@@ -19,7 +23,14 @@ use super::wire::{ADU_MAX, ExceptionCode, Header, RegistersBuffer, Request, Resp
 use super::words::{ControlWord, StatusWord};
 use fieldbeat_core::inputs::InputLog;
 use fieldbeat_core::net::{Handshake, HandshakeState};
-use fieldbeat_core::time::{S, Time};
+use fieldbeat_core::time::{MS, S, Time};
+
+/// Ids of the handshake begin far from those of the exchange behind it: a second reply to the one is none to the other.
+const FIRST_ID: u16 = 0x8000;
+/// A drive that is busy gets its request again after so long, ns ...
+const AGAIN_NS: u64 = 20 * MS;
+/// ... for so many reply times.
+pub(super) const BUSY_WITHIN: u64 = 4;
 
 /// The findings of the handshake, for the station.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -38,12 +49,16 @@ pub struct Finding {
     pub status: StatusWord,
     /// The speed that it had, as a count.
     pub speed: i32,
+    /// Replies to requests that had theirs already, since the connection before.
+    pub duplicates: u16,
+    /// Requests that it was too busy for, since then.
+    pub busy: u16,
 }
 
 /// The findings of the last handshake: written before the connection is handed over, and read after that.
 #[derive(Debug, Default)]
 pub struct Found {
-    /// Unit id, flags and control word; status word and speed.
+    /// Unit id, flags, control word and counts; status word and speed.
     words: [AtomicU64; 2],
 }
 
@@ -62,16 +77,19 @@ impl Found {
             control: ControlWord((bits >> 16) as u16),
             status: StatusWord((state >> 32) as u16),
             speed: state as u32 as i32,
+            duplicates: (bits >> 32) as u16,
+            busy: (bits >> 48) as u16,
         }
     }
 
     /// For the handshake.
     pub fn set(&self, finding: Finding) {
-        let Finding { unit, menu_0, obeys, watched, control, status, speed } = finding;
+        let Finding { unit, menu_0, obeys, watched, control, status, speed, duplicates, busy } = finding;
         let flags = [menu_0, obeys, watched];
         let flags = flags.iter().enumerate().map(|(bit, flag)| u64::from(*flag) << (8 + bit)).sum::<u64>();
         let [bits, state] = &self.words;
-        bits.store(u64::from(unit) | flags | u64::from(control.0) << 16, Ordering::Release);
+        let counts = u64::from(duplicates) << 32 | u64::from(busy) << 48;
+        bits.store(u64::from(unit) | flags | u64::from(control.0) << 16 | counts, Ordering::Release);
         state.store(u64::from(status.0) << 32 | u64::from(speed as u32), Ordering::Release);
     }
 }
@@ -109,7 +127,15 @@ pub(super) struct UnidriveHandshake {
     units: Vec<u8>,
     unit: usize,
     step: Step,
+    /// The id of the last request; whether it has no reply yet, and how many there were on this connection.
     transaction: u16,
+    is_open: bool,
+    requests: u16,
+    /// There was a connection before.
+    begun: bool,
+    /// Since when the drive is busy, and when it gets its request again.
+    busy_since: Option<Time>,
+    again_at: Option<Time>,
     /// The lower part of its serial number.
     serial: u64,
     image: Image,
@@ -137,7 +163,12 @@ impl UnidriveHandshake {
             found,
             finding: Finding::default(),
             step: Step::Unit,
-            transaction: 0,
+            transaction: FIRST_ID,
+            is_open: false,
+            requests: 0,
+            begun: false,
+            busy_since: None,
+            again_at: None,
             serial: 0,
             image: Image::default(),
             inbox: Vec::with_capacity(ADU_MAX),
@@ -145,11 +176,11 @@ impl UnidriveHandshake {
     }
 
     /// Its longest duration, ns: a request for each block and each setting, three for those of menu 0, each with
-    /// the time limit of a reply.
+    /// the time limit of a reply; and the time that the drive may be busy.
     pub(super) fn longest_ns(&self) -> u64 {
         let menu_0 = self.settings.iter().filter(|setting| setting.purpose == Purpose::Menu0).count();
         let requests = 5 + self.direct.reads().len() + self.settings.len() + 2 * menu_0;
-        S + requests as u64 * self.drive.reply_within_ns
+        S + (requests as u64 + BUSY_WITHIN) * self.drive.reply_within_ns
     }
 
     fn value(&self, role: Role) -> i32 {
@@ -159,6 +190,7 @@ impl UnidriveHandshake {
     /// The request of the present step.
     fn request(&mut self, out: &mut Vec<u8>) -> HandshakeState {
         self.transaction = self.transaction.wrapping_add(1);
+        (self.is_open, self.requests) = (true, self.requests.saturating_add(1));
         let mut data = RegistersBuffer::new();
         let read = |parameter: Parameter, width: Width| {
             let address = parameter.address(self.drive.addressing, width)?;
@@ -194,6 +226,42 @@ impl UnidriveHandshake {
         HandshakeState::More
     }
 
+    /// The drive is busy: the same request follows later.
+    fn is_busy(&mut self, now: Time, code: ExceptionCode) -> HandshakeState {
+        self.finding.busy = self.finding.busy.saturating_add(1);
+        let since = *self.busy_since.get_or_insert(now);
+        if now.since(since) > BUSY_WITHIN * self.drive.reply_within_ns {
+            return HandshakeState::Failed(format!("the drive is busy all the time: {code}"));
+        }
+        self.again_at = Some(now + AGAIN_NS);
+        HandshakeState::More
+    }
+
+    /// One message, while `open` is the id of the last request that can have left.
+    fn message(&mut self, now: Time, adu: &[u8], open: u16, out: &mut Vec<u8>) -> HandshakeState {
+        let Ok((header, response)) = Response::parse(adu) else { return surprised() };
+        let before = self.transaction.wrapping_sub(header.transaction);
+        if before == 0 && self.is_open && header.transaction == open {
+            self.is_open = false;
+            return match response {
+                Response::Exception {
+                    code: code @ (ExceptionCode::ACKNOWLEDGE | ExceptionCode::BUSY),
+                    ..
+                } => self.is_busy(now, code),
+                _ => {
+                    self.busy_since = None;
+                    self.answer(response, out)
+                }
+            };
+        }
+        // Those of this connection have their replies, but for the open one.
+        if before < self.requests && (before > 0 || !self.is_open) {
+            self.finding.duplicates = self.finding.duplicates.saturating_add(1);
+            return HandshakeState::More;
+        }
+        HandshakeState::Failed(WRONG_ID.to_string())
+    }
+
     /// Takes the answer of the present step, and continues with the next one.
     fn answer(&mut self, response: Response<'_>, out: &mut Vec<u8>) -> HandshakeState {
         let refused = match response {
@@ -210,9 +278,7 @@ impl UnidriveHandshake {
                 Some(Step::Unit)
             }
             (Step::Unit, Some(code)) => {
-                return HandshakeState::Failed(format!(
-                    "the drive refuses to report its status word: {code}"
-                ));
+                return HandshakeState::Failed(REFUSED.with(&code));
             }
             (Step::Unit, None) => {
                 self.finding.unit = self.units[self.unit];
@@ -361,8 +427,13 @@ impl UnidriveHandshake {
         self.finding.obeys = self.are_met(Purpose::Obey);
         // Where nothing is to be set, nothing watches.
         self.finding.watched = self.drive.watchdog.timeout_ns.is_some() && self.are_met(Purpose::Watch);
-        self.found.set(self.finding);
         HandshakeState::Done
+    }
+
+    /// The connection is the loop's.
+    fn hand_over(&mut self) {
+        self.found.set(self.finding);
+        (self.finding.duplicates, self.finding.busy) = (0, 0);
     }
 }
 
@@ -371,16 +442,18 @@ fn look(block: &Block) -> Request<'static> {
 }
 
 fn surprised() -> HandshakeState {
-    HandshakeState::Failed("the peer does not answer the request: is it a Unidrive's Modbus port?".into())
+    HandshakeState::Failed(MISFIT.to_string())
 }
 
 impl Handshake for UnidriveHandshake {
     fn begin(&mut self, _now: Time, out: &mut Vec<u8>) -> HandshakeState {
         self.inbox.clear();
-        self.finding = Finding::default();
+        let Finding { duplicates, busy, .. } = self.finding;
+        self.finding = Finding { duplicates, busy, ..Finding::default() };
         self.image = Image::default();
         self.has.clear();
-        if self.step == Step::Unit && self.transaction != 0 {
+        (self.requests, self.busy_since, self.again_at) = (0, None, None);
+        if self.step == Step::Unit && std::mem::replace(&mut self.begun, true) {
             // No answer at all the last time: it may use another unit id.
             self.unit = (self.unit + 1) % self.units.len();
         }
@@ -388,24 +461,55 @@ impl Handshake for UnidriveHandshake {
         self.request(out)
     }
 
-    fn take(&mut self, _now: Time, bytes: &[u8], out: &mut Vec<u8>) -> HandshakeState {
-        self.inbox.extend_from_slice(bytes);
-        match frame(&self.inbox) {
-            Ok(None) => HandshakeState::More,
-            Ok(Some(size)) if size < self.inbox.len() => surprised(),
-            Ok(Some(_)) => {
-                let inbox = std::mem::take(&mut self.inbox);
-                let state = match Response::parse(&inbox) {
-                    Ok((header, response)) if header.transaction == self.transaction => {
-                        self.answer(response, out)
+    fn take(&mut self, now: Time, bytes: &[u8], out: &mut Vec<u8>) -> HandshakeState {
+        let mut inbox = std::mem::take(&mut self.inbox);
+        inbox.extend_from_slice(bytes);
+        let (mut rest, mut is_done, open) = (&inbox[..], false, self.transaction);
+        let state = loop {
+            match frame(rest) {
+                Ok(None) if is_done && !rest.is_empty() => break surprised(),
+                Ok(None) if is_done => break HandshakeState::Done,
+                Ok(None) => break HandshakeState::More,
+                Ok(Some(size)) => {
+                    let (adu, behind) = rest.split_at(size);
+                    rest = behind;
+                    match self.message(now, adu, open, out) {
+                        HandshakeState::More => {}
+                        HandshakeState::Done => is_done = true,
+                        other => break other,
                     }
-                    Ok(_) | Err(_) => surprised(),
-                };
-                self.inbox = inbox;
-                self.inbox.clear();
-                state
+                }
+                Err(error) => break HandshakeState::Failed(error.to_string()),
             }
-            Err(error) => HandshakeState::Failed(error.to_string()),
+        };
+        let taken = inbox.len() - rest.len();
+        inbox.drain(..taken);
+        self.inbox = inbox;
+        if state == HandshakeState::Done {
+            self.hand_over();
+        }
+        state
+    }
+
+    fn next_due(&self) -> Option<Time> {
+        self.again_at
+    }
+
+    fn run(&mut self, now: Time, out: &mut Vec<u8>) -> HandshakeState {
+        match self.again_at.take_if(|at| *at <= now) {
+            Some(_) => self.request(out),
+            None => HandshakeState::More,
         }
     }
+
+    fn closed(&mut self, _now: Time, _why: &str) {
+        self.again_at = None;
+    }
+
+    fn overdue(&self) -> Option<String> {
+        (self.step != Step::Unit).then(|| SLOW.to_string())
+    }
 }
+
+#[cfg(test)]
+mod tests;

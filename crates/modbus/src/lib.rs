@@ -16,6 +16,7 @@
 //! | `setup`, `echo` | settings before the first request to move, values that the drive has accepted |
 //! | `other` | another master's values |
 //! | `bus` | stations and connections as one bus |
+//! | `diagnosis` | why a drive is not online |
 //!
 //! What follows is the reference of docs/ for its configuration.
 #![doc = include_str!("../files/configuration-modbus.md")]
@@ -34,6 +35,7 @@ mod calls;
 mod check;
 #[cfg(feature = "config")]
 pub mod config;
+pub mod diagnosis;
 mod echo;
 mod fields;
 pub mod handshake;

@@ -51,6 +51,8 @@ pub(super) struct ProfibusBus {
     net: Box<dyn Serial>,
     /// The own slots of each drive: divisor and phase.
     own_slots: Vec<(u64, u64)>,
+    /// The shortest time from a turn of each drive to its next one, ns, and when that may begin; none: none has one.
+    intervals: Box<[(u64, Time)]>,
     others: Others,
     /// When the port was opened.
     opened_at: Time,
@@ -98,6 +100,9 @@ impl ProfibusBus {
             configuration: drive.configuration.clone(),
         };
         let known = plan.drives.iter().map(known).collect();
+        let interval = |drive: &LenzeDrive| (drive.min_slave_interval_ns, Time(0));
+        let intervals: Box<[_]> = plan.drives.iter().map(interval).collect();
+        let has_intervals = intervals.iter().any(|(ns, _)| *ns > 0);
         let own_slot = |drive: &LenzeDrive| (drive.axis.divisor.into(), drive.axis.phase.into());
         Ok(ProfibusBus {
             name: plan.name.clone(),
@@ -114,6 +119,7 @@ impl ProfibusBus {
             line: Line::new(plan),
             stations,
             own_slots: plan.drives.iter().map(own_slot).collect(),
+            intervals: if has_intervals { intervals } else { Box::default() },
             others: Others::new(),
             opened_at: Time(0),
             end: End::default(),
@@ -168,6 +174,7 @@ impl Bus for ProfibusBus {
         self.net.memory(regions);
         self.notes.memory(regions);
         regions.add(&*self.own_slots);
+        regions.add(&*self.intervals);
         regions.add(&*self.stations);
         self.stations.iter().for_each(|station| station.memory(regions));
     }
@@ -211,7 +218,8 @@ impl Bus for ProfibusBus {
     }
 
     fn poll_at(&self) -> Option<Time> {
-        self.line.look_at(!self.queue.is_empty() || self.upkeep.is_round_over())
+        let at = self.line.look_at(!self.queue.is_empty() || self.upkeep.is_round_over())?;
+        if self.intervals.is_empty() { Some(at) } else { Some(at.max(self.next_turn_at())) }
     }
 
     fn waited_for(&self, cycle: &Cycle, slots: &[Slot]) -> usize {

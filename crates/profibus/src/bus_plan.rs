@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use super::bus::ProfibusBus;
 use super::counters::{OWN, Own};
+use super::diagnosis::DIAGNOSIS;
 use super::fields::layout;
 use super::notation::Codes;
 use super::plan::{LenzeDrive, ProfibusPlan};
@@ -14,6 +15,7 @@ use fieldbeat_core::axis::acyclic::Notation;
 use fieldbeat_core::axis::feedback::MONITOR_CHANNELS;
 use fieldbeat_core::axis::{AxisPlan, FoundRunning, MonitorChannel, PlanFault};
 use fieldbeat_core::bus::desired::Capabilities;
+use fieldbeat_core::bus::diagnosis::Row;
 use fieldbeat_core::bus::native::NativeLayout;
 use fieldbeat_core::bus::variant::Variant;
 use fieldbeat_core::bus::{Bus, BusPlan, Grid, OpenError, OwnCounter, drives};
@@ -102,6 +104,10 @@ impl BusPlan for ProfibusPlan {
 
     fn capabilities(&self, index: usize, _period_ns: u64) -> Capabilities {
         profile::capabilities(&self.drives[index])
+    }
+
+    fn diagnosis(&self) -> &'static [Row] {
+        &DIAGNOSIS
     }
 
     fn notation(&self) -> Arc<dyn Notation> {

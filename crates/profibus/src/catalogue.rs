@@ -24,11 +24,14 @@ pub struct Known {
     pub unit: &'static str,
     /// It cannot be written.
     pub read_only: bool,
+    /// The decimals of a value that the drive reports in 16 bits; `None`: they are not known.
+    pub word_decimals: Option<u32>,
 }
 
 impl Known {
     const fn new(code: u16, name: &'static str, unit: &'static str) -> Known {
-        Known { code, subcodes: 0, name, kind: Kind::I32, decimals: DECIMALS, unit, read_only: false }
+        let (kind, decimals) = (Kind::I32, DECIMALS);
+        Known { code, subcodes: 0, name, kind, decimals, unit, read_only: false, word_decimals: None }
     }
 }
 
@@ -40,7 +43,10 @@ pub const CODES: [Known; 6] = [
     Known::new(12, "acceleration time of the main set point", "s"),
     Known::new(13, "deceleration time of the main set point", "s"),
     Known { subcodes: 3, ..Known::new(39, "fixed set points (JOG)", "Hz") },
-    Known { read_only: true, ..Known::new(61, "temperature of the heat sink", "°C") },
+    // The 9400 reports 43 degrees as 43 (E94AYCPM manual).
+    Known {
+        read_only: true, word_decimals: Some(0), ..Known::new(61, "temperature of the heat sink", "°C")
+    },
 ];
 
 impl Parameter {
@@ -57,11 +63,16 @@ impl Parameter {
         }
     }
 
-    /// Its decimals: those of a kind that is named are not known.
-    pub fn decimals(self) -> u32 {
+    /// Its decimals and its unit: those of a kind that is named are not known, but for some in 16 bits.
+    pub fn scale(self) -> (u32, &'static str) {
+        let known = self.known();
         match self.kind {
-            Kind::Own => self.known().map_or(DECIMALS, |known| known.decimals),
-            _ => 0,
+            Kind::Own => known.map_or((DECIMALS, ""), |known| (known.decimals, known.unit)),
+            Kind::I16 | Kind::U16 => {
+                let of_word = known.and_then(|known| Some((known.word_decimals?, known.unit)));
+                of_word.unwrap_or_default()
+            }
+            _ => (0, ""),
         }
     }
 }

@@ -21,6 +21,8 @@ pub(super) const USER_PRM_MAX: usize = DATA_MAX - 7;
 pub(super) const GAP_MAX: u32 = 100;
 /// The longest time of a driver between a byte and its reading, ns.
 pub(super) const LATENCY_MAX_NS: u64 = 100 * MS;
+/// The longest time from one turn of a drive to the next one that it may want, ns: 65535 times 100 us.
+pub(super) const INTERVAL_MAX_NS: u64 = 65_535 * 100_000;
 /// How often Global_Control may be sent, ns.
 pub(super) const CONTROL_RANGE_NS: std::ops::RangeInclusive<u64> = MS..=10 * S;
 /// The largest count of a set point, which has 16 bits.
@@ -130,6 +132,9 @@ impl LenzeDrive {
         }
         if self.min_tsdr != 0 && self.min_tsdr < TSDR_MIN {
             wrong("min_tsdr", format!("must be {TSDR_MIN} ... 255 bits, or 0: the drive keeps its own"));
+        }
+        if self.min_slave_interval_ns > INTERVAL_MAX_NS {
+            wrong("min_slave_interval", format!("must be at most {}", Ns(INTERVAL_MAX_NS)));
         }
         if usize::from(self.extended_diagnosis) > DU_MAX - 8 {
             wrong("extended_diagnosis", format!("must be at most {} bytes", DU_MAX - 8));

@@ -13,7 +13,8 @@ use toml::de::DeValue;
 
 use super::PROTOCOL;
 use super::check::{
-    BITS_MAX, CONTROL_RANGE_NS, GAP_MAX, LATENCY_MAX_NS, SYNC_BITS, TSDR_MIN, USER_PRM_MAX, rates,
+    BITS_MAX, CONTROL_RANGE_NS, GAP_MAX, INTERVAL_MAX_NS, LATENCY_MAX_NS, SYNC_BITS, TSDR_MIN, USER_PRM_MAX,
+    rates,
 };
 use super::plan::{
     ADDRESS_MAX, Bits, DATA_MAX, DriveProfile, LenzeDrive, Numbers, ParameterPath, ProfibusPlan, RATES,
@@ -166,6 +167,9 @@ fn drive(table: &mut Table<'_>, machine: &mut Machine) -> LenzeDrive {
     set(&mut drive.watchdog.accept_none, accept);
     let tsdr = "the drive answers no sooner, bits; 0: it keeps what it has";
     set(&mut drive.min_tsdr, table.integer("min_tsdr", 0..=255, tsdr));
+    let interval = "Min_Slave_Intervall of its GSD, in units of 100us there";
+    let interval_ns = table.time("min_slave_interval", ..=INTERVAL_MAX_NS, interval);
+    set(&mut drive.min_slave_interval_ns, interval_ns);
     set(&mut drive.group, groups(table));
     let words = [("drivecom", DriveProfile::Drivecom), ("profidrive", DriveProfile::Profidrive)];
     set(&mut drive.profile, table.word("words", &words));

@@ -74,10 +74,18 @@ impl ProfibusPlan {
         let all: u64 = (0..self.drives.len()).map(|index| self.usual_turn_ns(index)).sum();
         let with =
             if drive.channel { format!(", {CHANNEL} of them the parameter channel") } else { String::new() };
+        let latency = match self.bits.latency_ns {
+            0 => String::new(),
+            more => format!(" and up to {} in its port", Ns(more)),
+        };
+        let least = match drive.min_slave_interval_ns {
+            0 => String::new(),
+            least => format!("; not more often than every {}", Ns(least)),
+        };
         Some(format!(
-            "its turn: {outputs} bytes of outputs and {inputs} of inputs{with}; {} on the wire, {} at most; \
-             all drives in turn {}",
-            Ns(self.usual_turn_ns(index)),
+            "its turn: {outputs} bytes of outputs and {inputs} of inputs{with}; {} on the wire{latency}, {} at \
+             most; all drives in turn {}{least}",
+            Ns(self.wire_ns(index)),
             Ns(self.longest_turn_ns(index)),
             Ns(all),
         ))

@@ -17,7 +17,7 @@
 //! | `check`, `describe` | what is wrong with a plan, and what `check` says of a drive |
 //! | `config` | by that feature: its keys in a configuration, what a first one has, and `fieldbeat profibus` |
 //! | `other` | whether another master is on the wire |
-//! | `counters`, `notes` | counts, and why a drive is not in Data_Exchange |
+//! | `counters`, `notes`, `diagnosis` | counts, and why a drive is not in Data_Exchange |
 //!
 //! What follows is the reference of docs/ for its configuration.
 #![doc = include_str!("../files/configuration-profibus.md")]
@@ -31,6 +31,7 @@ mod check;
 pub mod config;
 pub mod counters;
 mod describe;
+pub mod diagnosis;
 mod fields;
 pub mod line;
 mod native;

@@ -141,6 +141,7 @@ pub(super) struct Line {
     line: SerialLine,
     slot_ns: u64,
     answer_ns: u64,
+    latency_ns: u64,
     unanswered_ns: u64,
     claim_ns: u64,
     /// The adapter returns own telegrams although nobody said so: one has come back before `known_at`.
@@ -183,6 +184,7 @@ impl Line {
             line,
             slot_ns: plan.slot_ns(),
             answer_ns: bits(plan.bits.max_tsdr).saturating_add(plan.bits.latency_ns),
+            latency_ns: plan.bits.latency_ns,
             unanswered_ns: bits(plan.bits.idle_unanswered.max(plan.bits.sync)),
             claim_ns,
             returns: false,
@@ -419,6 +421,19 @@ impl Line {
     #[inline]
     pub(super) fn quiet_since(&self) -> Time {
         self.timing.free_at - self.timing.idle_ns
+    }
+
+    /// What the request that began at `began` and its answer with so many bytes of data took on the wire, ns: without
+    /// what the port held back. One that was repeated counts as it was.
+    #[inline]
+    pub(super) fn took_ns(&self, began: Time, data: usize) -> u64 {
+        let took_ns = self.quiet_since().since(began);
+        if self.latency_ns == 0 || self.left < self.retries {
+            return took_ns;
+        }
+        let saps = if self.expected.saps.is_some() { 2 } else { 0 };
+        let bytes = usize::from(self.length) + ANSWER + saps + data;
+        took_ns.min(self.span_ns(bytes) + self.answer_ns - self.latency_ns)
     }
 
     /// The longest time from the begin of the telegram until it is closed, with all its repetitions.

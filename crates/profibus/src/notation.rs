@@ -2,7 +2,7 @@
 //!
 //! | address | access |
 //! |---|---|
-//! | `C0061`, `C0039/2` | a code, and one with a subcode; zeros in front may be left out |
+//! | `C0061`, `C0039/2` | a code, and one with a subcode; zeros in front may be left out: as the drive reports it |
 //! | `C0150.u16` | the same with the kind of its value: u8, i8, u16, i16, u32, i32 |
 //! | `C0200.text` | a text, by DP-V1 |
 //! | `1/3` | slot and index of a record of the module, by DP-V1, as bytes |
@@ -25,8 +25,8 @@ use super::target::{Kind, Parameter, Target, reason};
 use super::wire::msac1::Record;
 use fieldbeat_core::axis::acyclic::long::{self, READ, STORE, WRITE};
 use fieldbeat_core::axis::acyclic::{
-    Call, CallError, Carrier, Integer, ListError, Listing, Notation, NotationError, Wanted, bits, count,
-    within,
+    Call, CallError, Carrier, Integer, ListError, Listing, Notation, NotationError, Series, Wanted, bits,
+    count, within,
 };
 
 const FORM: &str = "C0061 (a code), C0039/2 (with a subcode), C0150.u16 (with a kind: u8, i8, u16, i16, u32, \
@@ -70,11 +70,30 @@ impl Target {
         }
     }
 
-    fn decimals(self) -> u32 {
+    /// Decimals and unit.
+    fn scale(self) -> (u32, &'static str) {
         match self {
-            Target::Parameter(parameter) => parameter.decimals(),
-            Target::Record(_) => 0,
+            Target::Parameter(parameter) => parameter.scale(),
+            Target::Record(_) => (0, ""),
         }
+    }
+
+    /// A number as people read it, with these decimals and this unit.
+    fn shown(self, raw: u64, (decimals, unit): (u32, &str)) -> String {
+        let Some(integer) = self.integer() else { return self.text(&raw.to_le_bytes()) };
+        let number = integer.number(raw);
+        let plain = format!("{number} (0x{:X})", integer.raw(number));
+        if (decimals, unit) == (0, "") {
+            return plain;
+        }
+        let value = number as f64 / 10_f64.powi(decimals as i32);
+        format!("{plain} = {value:.*} {unit}", decimals as usize).trim_end().to_owned()
+    }
+
+    /// The same of a value that the drive has said to be of `read`: in 32 bits it is scaled as by this address.
+    fn shown_as(self, read: Target, raw: u64) -> String {
+        let in_32 = read.integer().is_some_and(|integer| integer.bits == 32);
+        read.shown(raw, if in_32 { self.scale() } else { read.scale() })
     }
 
     fn known(self) -> Option<&'static Known> {
@@ -111,9 +130,9 @@ fn form(target: Target) -> String {
     };
     let (low, high) = integer.range();
     let whole = format!("a whole number, {low} ... {high}, or its bits as 0x...");
-    match target.decimals() {
-        0 => whole,
-        decimals => format!("{whole}, or a scaled one with a point and up to {decimals} decimals"),
+    match target.scale() {
+        (0, _) => whole,
+        (decimals, _) => format!("{whole}, or a scaled one with a point and up to {decimals} decimals"),
     }
 }
 
@@ -159,7 +178,7 @@ impl Notation for Codes {
         let range = integer.range();
         let number = match text.strip_prefix("0x") {
             Some(digits) => bits(digits).map(|raw| integer.number_within(raw, range).unwrap_or(i64::MAX)),
-            None => count(text, target.decimals()),
+            None => count(text, target.scale().0),
         };
         within(number, range, text, || form(target)).map(|number| integer.raw(number))
     }
@@ -171,17 +190,7 @@ impl Notation for Codes {
 
     fn show(&self, address: &str, raw: u64) -> String {
         let Some(target) = Target::parse(address) else { return format!("{raw} (0x{raw:X})") };
-        let Some(integer) = target.integer() else { return target.text(&raw.to_le_bytes()) };
-        let number = integer.number(raw);
-        let plain = format!("{number} (0x{:X})", integer.raw(number));
-        match target.decimals() as usize {
-            0 => plain,
-            decimals => {
-                let unit = target.known().map_or("", |known| known.unit);
-                let value = number as f64 / 10_f64.powi(decimals as i32);
-                format!("{plain} = {value:.decimals$} {unit}").trim_end().to_owned()
-            }
-        }
+        target.shown(raw, target.scale())
     }
 
     fn reason(&self, status: u32) -> String {
@@ -189,8 +198,14 @@ impl Notation for Codes {
     }
 
     fn read_long(&self, carrier: &dyn Carrier, address: &str) -> Option<Result<(u64, String), CallError>> {
-        let target = Target::parse(address).filter(|target| target.integer().is_none())?;
+        let target = Target::parse(address)?;
         let call = Call { service: READ, address: target.pack(), value: 0 };
+        if target.integer().is_some() {
+            let Series { answers, failed } = carrier.run(&[call], self.limit(&call));
+            let Some(answer) = answers.first() else { return Some(Err(failed.unwrap_or(CallError::Gone))) };
+            let read = Target::unpack(answer.address).unwrap_or(target);
+            return Some(Ok((answer.value, target.shown_as(read, answer.value))));
+        }
         let read = long::read(carrier, call.address, self.limit(&call));
         Some(read.map(|bytes| (long::raw(&bytes), target.text(&bytes))))
     }

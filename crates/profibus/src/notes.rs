@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use crossbeam::atomic::AtomicCell;
 
+use super::start_up::WANTED;
 use super::wire::fc;
 use fieldbeat_core::bus;
 use fieldbeat_core::net::LinkNotes;
@@ -25,8 +26,8 @@ pub(super) enum Note {
     Locked(u8),
     /// It refuses its parametrisation.
     Parameters,
-    /// It refuses its configuration.
-    Configuration,
+    /// It refuses its configuration, and wants one of so many identifier bytes; 0: that is not known.
+    Configuration { wants: u8 },
     /// It does not take a service, with this function of its answer.
     Refused {
         /// The service access point.
@@ -36,6 +37,8 @@ pub(super) enum Note {
     },
     /// It does not become ready after its parametrisation and configuration.
     NotReady,
+    /// Its diagnosis is none.
+    Unreadable,
     /// Its watchdog is not on although it was set.
     Unwatched,
     /// The wire is never silent for long enough to be claimed, and what is received on it is no telegram.
@@ -59,19 +62,29 @@ pub(super) struct WireNotes {
     port: LinkNotes,
 }
 
+/// The note on one drive.
+#[derive(Debug)]
+struct Drive {
+    known: Known,
+    note: AtomicCell<Note>,
+    /// The first identifier bytes of the configuration that it wants.
+    wanted: [AtomicCell<u8>; WANTED],
+}
+
 #[derive(Debug)]
 struct Shared {
     device: String,
     /// The address of this master.
     own: u8,
-    drives: Vec<(Known, AtomicCell<Note>)>,
+    drives: Vec<Drive>,
     /// That of the wire: another master has it, it is noisy, or none.
     wire: AtomicCell<Note>,
 }
 
 impl WireNotes {
     pub(super) fn new(device: &str, own: u8, drives: Vec<Known>, port: LinkNotes) -> WireNotes {
-        let drives = drives.into_iter().map(|known| (known, AtomicCell::default())).collect();
+        let drive = |known| Drive { known, note: AtomicCell::default(), wanted: Default::default() };
+        let drives = drives.into_iter().map(drive).collect();
         let shared = Shared { device: device.to_owned(), own, drives, wire: AtomicCell::default() };
         WireNotes { shared: Arc::new(shared), port }
     }
@@ -82,8 +95,12 @@ impl WireNotes {
         regions.add(&*self.shared.drives);
     }
 
-    pub(super) fn set(&self, index: usize, note: Note) {
-        if let Some((_, place)) = self.shared.drives.get(index) {
+    /// Why drive `index` is not in Data_Exchange, and the identifier bytes that it wants.
+    pub(super) fn set(&self, index: usize, note: Note, wanted: &[u8; WANTED]) {
+        if let Some(Drive { note: place, wanted: bytes, .. }) = self.shared.drives.get(index) {
+            if let Note::Configuration { .. } = note {
+                bytes.iter().zip(wanted).for_each(|(place, byte)| place.store(*byte));
+            }
             place.store(note);
         }
     }
@@ -98,6 +115,31 @@ impl WireNotes {
         // Another master says more.
         let _ = self.shared.wire.compare_exchange(Note::None, Note::Noisy);
     }
+}
+
+/// A drive refuses its configuration, and wants one of so many identifier bytes, of which these are the first.
+fn refused(configuration: &[u8], wanted: &[u8], wants: usize) -> String {
+    let why = format!("it refuses its configuration {configuration:02X?} (Cfg_Fault)");
+    let set_to = "at the process data that the drive is set to";
+    match wants {
+        0 => format!(
+            "{why}, and does not say by Get_Cfg which one it wants: look at configuration, and {set_to}"
+        ),
+        _ if wanted == configuration => {
+            format!("{why}, although Get_Cfg reads the same: look {set_to}, and restart it")
+        }
+        _ => format!(
+            "{why}, and wants {}: set configuration to that, or look {set_to}",
+            identifiers(wanted, wants)
+        ),
+    }
+}
+
+/// The first of so many identifier bytes.
+fn identifiers(bytes: &[u8], of: usize) -> String {
+    let listed: Vec<String> = bytes.iter().map(|byte| format!("0x{byte:02X}")).collect();
+    let more = if bytes.len() < of { format!(" ... ({of} bytes)") } else { String::new() };
+    format!("[{}{more}]", listed.join(", "))
 }
 
 impl bus::Notes for WireNotes {
@@ -122,8 +164,9 @@ impl bus::Notes for WireNotes {
             }
             _ => {}
         }
-        let (Known { address, ident, configuration }, place) = self.shared.drives.get(index)?;
-        Some(match place.load() {
+        let Drive { known, note, wanted } = self.shared.drives.get(index)?;
+        let Known { address, ident, configuration } = known;
+        Some(match note.load() {
             Note::None | Note::Unwatched | Note::Noisy => return None,
             Note::Absent => format!(
                 "nobody answers at address {address} on {device}: look at its power, its cable and \
@@ -141,22 +184,33 @@ impl bus::Notes for WireNotes {
                  file has them"
                     .into()
             }
-            Note::Configuration => format!(
-                "it refuses its configuration {configuration:02X?} (Cfg_Fault): look at configuration, and \
-                 at the process data that the drive is set to"
-            ),
+            Note::Configuration { wants } => {
+                let wanted: Vec<u8> = wanted.iter().map(AtomicCell::load).take(wants.into()).collect();
+                refused(configuration, &wanted, wants.into())
+            }
             Note::Refused { sap, function } => format!(
                 "it refuses service access point {sap} ({}): look whether it is a DP slave, and restart it",
                 fc::refusal(function)
             ),
+            Note::Unreadable => {
+                "what it answers as its diagnosis is none: look whether it is a DP slave, and restart it"
+                    .into()
+            }
             Note::NotReady => "it is parametrised and configured, and does not become ready: look at its \
                  diagnosis"
                 .into(),
         })
     }
 
+    fn is_vague(&self, index: usize) -> bool {
+        let is_absent = |drive: &Drive| drive.note.load() == Note::Absent;
+        self.shared.drives.get(index).is_some_and(is_absent)
+            && self.shared.wire.load() == Note::None
+            && self.port.get(0).is_none()
+    }
+
     fn remark(&self, index: usize) -> Option<String> {
-        let (_, place) = self.shared.drives.get(index)?;
+        let place = &self.shared.drives.get(index)?.note;
         let why = "its diagnosis does not report its watchdog as on, although it was set: it is not enabled";
         (place.load() == Note::Unwatched).then(|| why.to_owned())
     }

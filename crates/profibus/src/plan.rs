@@ -16,8 +16,10 @@ pub const RATES: [u32; 10] =
     [9_600, 19_200, 45_450, 93_750, 187_500, 500_000, 1_500_000, 3_000_000, 6_000_000, 12_000_000];
 /// The least slot time of each, bits.
 pub const LEAST_SLOT_BITS: [u32; 10] = [100, 100, 100, 100, 100, 200, 300, 400, 600, 1_000];
-/// The usual MaxTsdr of slaves with an SPC3 at each, bits.
-pub const USUAL_MAX_TSDR: [u32; 10] = [60, 60, 60, 60, 60, 100, 150, 250, 450, 800];
+/// The usual slot time of each, bits: longer than the least one where MaxTsdr is.
+const USUAL_SLOT_BITS: [u32; 10] = [100, 100, 640, 100, 100, 200, 300, 400, 600, 1_000];
+/// The usual MaxTsdr of slaves with an SPC3 at each, bits (MaxTsdr_ of their GSD files).
+pub const USUAL_MAX_TSDR: [u32; 10] = [60, 60, 250, 60, 60, 100, 150, 250, 450, 800];
 /// The slot time is longer than MaxTsdr by at least so many bits.
 pub const SLOT_MARGIN_BITS: u32 = 15;
 /// The highest address of a station.
@@ -96,6 +98,9 @@ pub struct LenzeDrive {
     pub watchdog: Watchdog,
     /// MinTsdr, bits; 0: the drive keeps what it has.
     pub min_tsdr: u8,
+    /// From the begin of one of its turns to that of the next one, at least, ns: Min_Slave_Intervall of its GSD, in
+    /// units of 100 us there. 0: as soon as its turn comes.
+    pub min_slave_interval_ns: u64,
     /// The groups of Global_Control that it belongs to.
     pub group: u8,
     /// The state machine of its control word and status word.
@@ -240,7 +245,7 @@ impl Bits {
         let place = RATES.iter().position(|of| *of >= rate).unwrap_or(RATES.len() - 1);
         let max_tsdr = USUAL_MAX_TSDR[place];
         Bits {
-            slot: LEAST_SLOT_BITS[place].max(max_tsdr + SLOT_MARGIN_BITS + 1),
+            slot: USUAL_SLOT_BITS[place].max(max_tsdr + SLOT_MARGIN_BITS + 1),
             max_tsdr,
             sync: 33,
             idle: 33,
@@ -316,6 +321,7 @@ impl LenzeDrive {
             configuration: vec![0xF3, 0xF1],
             watchdog: Watchdog::default(),
             min_tsdr: 11,
+            min_slave_interval_ns: 0,
             group: 0,
             profile: DriveProfile::default(),
             channel: true,

@@ -39,10 +39,12 @@ impl LenzeDrive {
         Some(Bytes(outputs + AROUND, inputs + AROUND))
     }
 
-    /// What takes a turn in place of Data_Exchange, but for MSAC1.
-    fn others(&self) -> [Bytes; 3] {
+    /// What takes a turn in place of Data_Exchange, but for MSAC1. The configuration that a drive wants is taken for
+    /// one as long as its own, or as a diagnosis.
+    fn others(&self) -> [Bytes; 4] {
         [
             Bytes(WITH_SAPS, WITH_SAPS + DIAGNOSIS + usize::from(self.extended_diagnosis)),
+            Bytes(WITH_SAPS, WITH_SAPS + self.configuration.len()),
             Bytes(WITH_SAPS + SET_PRM + self.user_prm.len(), 1),
             Bytes(WITH_SAPS + self.configuration.len(), 1),
         ]
@@ -71,6 +73,17 @@ impl ProfibusPlan {
 
     fn try_ns(&self, bytes: Bytes) -> u64 {
         self.answered_ns(bytes).max(self.silent_ns(bytes))
+    }
+
+    /// The same wire, with a port that adds nothing: what is on the wire itself.
+    fn without_latency(&self) -> ProfibusPlan {
+        ProfibusPlan { bits: super::plan::Bits { latency_ns: 0, ..self.bits }, ..self.clone() }
+    }
+
+    /// The time on the wire of Data_Exchange with drive `index`, with its idle time, ns; 0: there is none. It is its
+    /// turn without the latency of the port.
+    pub(super) fn wire_ns(&self, index: usize) -> u64 {
+        self.usual_turn_ns(index).saturating_sub(self.bits.latency_ns)
     }
 
     /// The turn of drive `index` with Data_Exchange that is answered, ns; 0: there is none.
@@ -128,8 +141,15 @@ impl ProfibusPlan {
         self.turns_within(index, false, grid)
     }
 
-    /// The turns before that of drive `index`, and its `own`.
+    /// The turns before that of drive `index`, and its `own`. They begin when it may be addressed again: the turn
+    /// before had begun by the slot.
     fn turns_within(&self, index: usize, own: bool, grid: Grid) -> u64 {
+        let least_ns = self.drives.get(index).map_or(0, |drive| drive.min_slave_interval_ns);
+        self.queued_within(index, own, grid).saturating_add(least_ns)
+    }
+
+    /// The same of a drive that may be addressed at any time.
+    fn queued_within(&self, index: usize, own: bool, grid: Grid) -> u64 {
         let Some(order) = self.order(index + 1) else { return 0 };
         let turns = &order[..order.len() - usize::from(!own)];
         if self.catches_up(grid) {
@@ -183,11 +203,13 @@ impl ProfibusPlan {
             return 0;
         }
         let (mut free, mut count) = (0, 0);
-        for turn in turns.iter().cycle() {
-            free = grid.in_window(free);
+        let mut not_before = vec![0; turns.len()];
+        for (index, turn) in turns.iter().enumerate().cycle() {
+            free = grid.in_window(free.max(not_before[index]));
             if free >= within_ns {
                 break;
             }
+            not_before[index] = free + self.drives[index].min_slave_interval_ns;
             (free, count) = (free + turn, count + 1);
         }
         count
@@ -195,6 +217,10 @@ impl ProfibusPlan {
 
     /// Why the turns do not fit, and what would: the drive whose exchange is not over when the next one is due.
     pub(super) fn schedule_faults(&self, grid: Grid) -> Vec<(usize, PlanFault)> {
+        let often = self.interval_faults(grid);
+        if !often.is_empty() {
+            return often;
+        }
         let Err(Late { drive: index, after_ns }) = self.lay(grid) else { return self.watchdog_faults(grid) };
         let Some(drive) = self.drives.get(index) else { return Vec::new() };
         let phases = if self.drives.len() > 1 { " and phases in turn" } else { "" };
@@ -205,16 +231,43 @@ impl ProfibusPlan {
             (None, None) => "use less drives on this wire, or a longer period".to_owned(),
         };
         let every_ns = grid.period_ns.saturating_mul(drive.axis.divisor.into());
+        let before = super::plan::Bits { max_tsdr: 60, slot: 100, idle_unanswered: 60, ..self.bits };
+        let is_slower = self.bits.max_tsdr > 60
+            && self.rate == 45_450
+            && ProfibusPlan { bits: before, ..self.clone() }.lay(grid).is_ok();
+        let faster = match is_slower {
+            true => {
+                "; or bits = { max_tsdr = 60, slot = 100 } if the GSD of each drive has that MaxTsdr_45.45"
+            }
+            false => "",
+        };
         let why = format!(
             "asks for an exchange every {}, which is over {} after its slot: a turn of the wire takes {} at \
              {} bit/s, and each round has room for a slot time, a repetition and an acyclic telegram; \
-             {remedy}",
+             {remedy}{faster}",
             Ns(every_ns),
             Ns(after_ns),
             Ns(self.usual_turn_ns(index)),
             self.rate,
         );
         vec![(index, PlanFault::new("divisor", why))]
+    }
+
+    /// No drive is addressed more often than it allows.
+    fn interval_faults(&self, grid: Grid) -> Vec<(usize, PlanFault)> {
+        let often = |(index, drive): (usize, &LenzeDrive)| {
+            let least_ns = drive.min_slave_interval_ns;
+            let every_ns = grid.period_ns.saturating_mul(drive.axis.divisor.into());
+            let why = format!(
+                "asks for an exchange every {}, more often than min_slave_interval = {} allows; use divisor {} \
+                 or more",
+                Ns(every_ns),
+                Ns(least_ns),
+                least_ns.div_ceil(grid.period_ns.max(1)),
+            );
+            (every_ns < least_ns).then(|| (index, PlanFault::new("divisor", why)))
+        };
+        self.drives.iter().enumerate().filter_map(often).collect()
     }
 
     /// A drive is addressed once in its divisor, and when it has waited for its turn: its watchdog has to outlast both.
@@ -236,7 +289,9 @@ impl ProfibusPlan {
     /// The least divisor that suits all drives, with their phases in turn.
     pub fn least_divisor(&self, grid: Grid) -> Option<u32> {
         let all: u64 = (0..self.drives.len()).map(|index| self.usual_turn_ns(index)).sum();
-        let first = u32::try_from(all / grid.period_ns.max(1)).ok()?.max(1);
+        let least = self.drives.iter().map(|drive| drive.min_slave_interval_ns).max().unwrap_or(0);
+        let period_ns = grid.period_ns.max(1);
+        let first = u32::try_from((all / period_ns).max(least.div_ceil(period_ns))).ok()?.max(1);
         (first..=MOST_DIVISOR).find(|divisor| self.in_turn(*divisor).lay(grid).is_ok())
     }
 
@@ -262,8 +317,13 @@ impl ProfibusPlan {
         faster.into_iter().find(at)
     }
 
-    /// The bus load, percent: by the exchanges of a round, and with its room.
+    /// The bus load, percent: by the exchanges of a round, and with its room. The latency of the port is no time on the
+    /// wire.
     pub(super) fn loads(&self, grid: Grid) -> [f64; 2] {
+        self.without_latency().turn_loads(grid)
+    }
+
+    fn turn_loads(&self, grid: Grid) -> [f64; 2] {
         let divisor = |drive: &LenzeDrive| u64::from(drive.axis.divisor.max(1));
         let cycles = self.drives.iter().map(divisor).max().unwrap_or(1);
         let round_ns = (cycles * grid.period_ns.max(1)) as f64;
@@ -341,6 +401,8 @@ struct Layout<'a> {
     turns: Vec<u64>,
     /// Since when each drive waits.
     queued: Vec<Option<u64>>,
+    /// No turn of each drive begins before.
+    not_before: Vec<u64>,
     next: usize,
     free: u64,
     room: Option<Room>,
@@ -349,7 +411,8 @@ struct Layout<'a> {
 impl Layout<'_> {
     fn new(plan: &ProfibusPlan, grid: Grid) -> Layout<'_> {
         let turns: Vec<u64> = (0..plan.drives.len()).map(|index| plan.usual_turn_ns(index)).collect();
-        Layout { plan, grid, queued: vec![None; turns.len()], turns, next: 0, free: 0, room: None }
+        let (queued, not_before) = (vec![None; turns.len()], vec![0; turns.len()]);
+        Layout { plan, grid, queued, not_before, turns, next: 0, free: 0, room: None }
     }
 
     fn due(&self, cycle: u64) -> impl Iterator<Item = usize> {
@@ -395,9 +458,15 @@ impl Layout<'_> {
             }
             let waits = |index: &usize| self.queued[*index].is_some();
             let count = self.turns.len();
-            let Some(index) = (self.next..count).chain(0..self.next.min(count)).find(waits) else { break };
-            self.turn(index)?;
-            served = true;
+            let mut order = (self.next..count).chain(0..self.next.min(count)).filter(waits);
+            if let Some(index) = order.clone().find(|index| self.not_before[*index] <= self.free) {
+                self.turn(index)?;
+                served = true;
+            } else if let Some(earliest) = order.by_ref().map(|index| self.not_before[index]).min() {
+                self.free = earliest;
+            } else {
+                break;
+            }
         }
         if served && self.plan.token && self.free < begin + self.grid.deadline_ns {
             self.free += self.plan.token_ns();
@@ -407,6 +476,7 @@ impl Layout<'_> {
 
     fn turn(&mut self, index: usize) -> Result<(), Late> {
         let more = self.room.take().map_or(0, |room| room.more);
+        self.not_before[index] = self.free + self.plan.drives[index].min_slave_interval_ns;
         self.free += self.turns[index] + more;
         self.next = index + 1;
         let Some(since) = self.queued[index].take() else { return Ok(()) };

@@ -2,7 +2,9 @@
 //! (sheet, 6).
 //!
 //! It begins anew whenever the drive does not answer, or reports that it has lost its parametrisation. What the drive
-//! refuses is noted by name, and tried again as seldom as a drive that does not answer.
+//! refuses is noted by name. It is tried once more as soon as a drive that does not answer; then the pauses grow, in
+//! which the drive is only diagnosed. A drive that refuses its configuration is first asked for the one that it wants
+//! (Get_Cfg).
 
 use super::notes::Note;
 use super::plan::LenzeDrive;
@@ -10,9 +12,16 @@ use super::wire::Writer;
 use super::wire::dp::{Diagnosis, DiagnosisStatus as Status, SetPrm, station_status};
 use super::wire::sap::{CHK_CFG, Service};
 use super::wire::telegram::DU_MAX;
+use fieldbeat_core::time::{S, Time};
 
 /// So many diagnoses of a drive that is parametrised and configured may report that it is not ready.
 const NOT_READY: u32 = 100;
+
+/// The pause behind the second refusal in a row, ns; each is twice the one before, so many times.
+const PAUSE_NS: u64 = S;
+const DOUBLED: u32 = 4;
+/// So many identifier bytes of the configuration that a drive wants are kept.
+pub(super) const WANTED: usize = 32;
 
 /// The next telegram of a drive.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -24,6 +33,8 @@ pub(super) enum Step {
     Configure,
     /// Is it ready?
     Check,
+    /// Which configuration does it want?
+    Ask,
     /// It exchanges data.
     Exchange,
 }
@@ -36,6 +47,11 @@ pub(super) struct StartUp {
     is_due: bool,
     checks: u32,
     note: Note,
+    /// Refusals in a row, and no Set_Prm before.
+    refusals: u32,
+    not_before: Time,
+    /// The identifier bytes that it wants, as far as there is room for them.
+    wanted: Box<[u8; WANTED]>,
     /// The address of the master.
     own: u8,
     ident: u16,
@@ -69,6 +85,9 @@ impl StartUp {
             is_due: false,
             checks: 0,
             note: Note::None,
+            refusals: 0,
+            not_before: Time(0),
+            wanted: Box::new([0; WANTED]),
             own,
             ident: drive.ident,
             has_watchdog: drive.watchdog.timeout_ns.is_some(),
@@ -93,6 +112,16 @@ impl StartUp {
     #[inline]
     pub(super) fn settled(&mut self) {
         self.is_due = false;
+        (self.refusals, self.not_before) = (0, Time(0));
+    }
+
+    /// The drive exchanges no data any more.
+    pub(super) fn left(&mut self, now: Time) {
+        if self.is_over() && self.is_due {
+            // Nor has it ever.
+            self.refuse_setup(now, self.note);
+        }
+        self.again(true);
     }
 
     /// The next step follows with the drive's next slot.
@@ -101,10 +130,15 @@ impl StartUp {
         self.is_due
     }
 
-    /// Why the drive does not exchange data; `None`: its diagnosis is to say so first.
+    /// Why the drive does not exchange data; `None`: the drive is to say so first.
     pub(super) fn note(&self) -> Option<Note> {
         let asks = self.step == Step::Check && matches!(self.note, Note::Refused { .. });
-        (!asks).then_some(self.note)
+        (!asks && self.step != Step::Ask).then_some(self.note)
+    }
+
+    /// The identifier bytes that it wants, as far as there is room for them.
+    pub(super) fn wanted(&self) -> &[u8; WANTED] {
+        &self.wanted
     }
 
     /// The service of the next step, and its data.
@@ -112,6 +146,7 @@ impl StartUp {
         match self.step {
             Step::Parametrise => (Service::SetPrm, &self.parameters),
             Step::Configure => (Service::ChkCfg, &self.configuration),
+            Step::Ask => (Service::GetCfg, &[]),
             Step::Diagnose | Step::Check | Step::Exchange => (Service::SlaveDiag, &[]),
         }
     }
@@ -126,23 +161,49 @@ impl StartUp {
         self.again(false);
     }
 
+    /// It refuses what Set_Prm or Chk_Cfg has brought: the next Set_Prm follows later each time.
+    fn refuse_setup(&mut self, now: Time, note: Note) {
+        self.refuse(note);
+        self.refusals = self.refusals.saturating_add(1);
+        let pause_ns = match self.refusals {
+            0 | 1 => 0,
+            more => PAUSE_NS << (more - 2).min(DOUBLED),
+        };
+        self.not_before = now + pause_ns;
+    }
+
     fn go_to(&mut self, step: Step) {
         (self.step, self.is_due) = (step, true);
     }
 
     /// The telegram of the step was not answered.
     pub(super) fn failed(&mut self) {
+        if self.step == Step::Ask {
+            // It does not say what it wants.
+            return self.again(false);
+        }
+        // Whoever comes back may be another one, or set up anew.
+        (self.refusals, self.not_before) = (0, Time(0));
         self.refuse(Note::Absent);
     }
 
+    /// What came as its diagnosis is none.
+    pub(super) fn unreadable(&mut self) {
+        self.refuse(Note::Unreadable);
+    }
+
     /// It was refused by the link layer with this function.
-    pub(super) fn refused(&mut self, function: u8) {
+    pub(super) fn refused(&mut self, now: Time, function: u8) {
+        if self.step == Step::Ask {
+            return self.again(false);
+        }
         let sap = self.request().0.saps().map_or(0, |(dsap, _)| dsap);
-        self.refuse(Note::Refused { sap, function });
         if sap == CHK_CFG {
             // Its diagnosis may say why: a wrong Set_Prm is acknowledged, too.
-            self.go_to(Step::Check);
+            self.refuse(Note::Refused { sap, function });
+            return self.go_to(Step::Check);
         }
+        self.refuse_setup(now, Note::Refused { sap, function });
     }
 
     /// It was acknowledged.
@@ -150,12 +211,25 @@ impl StartUp {
         match self.step {
             Step::Parametrise => self.go_to(Step::Configure),
             Step::Configure => self.go_to(Step::Check),
-            Step::Diagnose | Step::Check | Step::Exchange => self.again(false),
+            Step::Diagnose | Step::Check | Step::Ask | Step::Exchange => self.again(false),
+        }
+    }
+
+    /// The answer to the step has data.
+    pub(super) fn answered(&mut self, now: Time, data: &[u8]) {
+        match Diagnosis::parse(data) {
+            _ if self.step == Step::Ask => {
+                self.wanted.iter_mut().zip(data).for_each(|(place, byte)| *place = *byte);
+                self.note = Note::Configuration { wants: data.len().min(u8::MAX.into()) as u8 };
+                self.again(false);
+            }
+            Some(diagnosis) => self.diagnosed(now, &diagnosis),
+            None => self.unreadable(),
         }
     }
 
     /// The drive's diagnosis.
-    pub(super) fn diagnosed(&mut self, diagnosis: &Diagnosis<'_>) {
+    fn diagnosed(&mut self, now: Time, diagnosis: &Diagnosis<'_>) {
         let status = diagnosis.status;
         if diagnosis.ident != self.ident {
             return self.refuse(Note::Ident(diagnosis.ident));
@@ -166,15 +240,27 @@ impl StartUp {
             return self.refuse(Note::Locked(master));
         }
         match self.step {
-            Step::Check if status.has(Status::PRM_FAULT) => self.refuse(Note::Parameters),
-            Step::Check if status.has(Status::CFG_FAULT) => self.refuse(Note::Configuration),
-            Step::Check if status.has(Status::PRM_REQ) => {
-                self.again(!matches!(self.note, Note::Refused { .. }));
+            Step::Check if status.has(Status::PRM_FAULT) => self.refuse_setup(now, Note::Parameters),
+            Step::Check if status.has(Status::CFG_FAULT) => {
+                self.refuse_setup(now, Note::Configuration { wants: 0 });
+                self.go_to(Step::Ask);
             }
+            Step::Check if status.has(Status::PRM_REQ) => match self.note {
+                Note::Refused { .. } => self.refuse_setup(now, self.note),
+                // It may have been too late for its watchdog.
+                _ if self.refusals == 0 => {
+                    self.refusals = 1;
+                    self.again(true);
+                }
+                _ => self.refuse_setup(now, Note::NotReady),
+            },
             Step::Check if status.has_any(Status::NOT_READY | Status::STAT_DIAG) => {
                 self.checks += 1;
+                if !matches!(self.note, Note::Refused { .. }) {
+                    self.note = Note::NotReady;
+                }
                 if self.checks > NOT_READY {
-                    self.refuse(Note::NotReady);
+                    self.refuse_setup(now, Note::NotReady);
                 }
             }
             Step::Check => {
@@ -182,7 +268,8 @@ impl StartUp {
                 self.note = if watched { Note::None } else { Note::Unwatched };
                 self.go_to(Step::Exchange);
             }
-            Step::Diagnose | Step::Parametrise | Step::Configure | Step::Exchange => {
+            Step::Diagnose if now < self.not_before => self.again(false),
+            Step::Diagnose | Step::Parametrise | Step::Configure | Step::Ask | Step::Exchange => {
                 self.go_to(Step::Parametrise);
             }
         }

@@ -21,7 +21,7 @@ use super::native::{NATIVE_WORDS, Native, NativePort, native};
 use super::notes::Note;
 use super::plan::LenzeDrive;
 use super::profile::{Inputs, Profile};
-use super::start_up::StartUp;
+use super::start_up::{StartUp, WANTED};
 use super::target::commanding;
 use super::wire::dp::station_status;
 use super::wire::sap::Service;
@@ -74,6 +74,8 @@ pub struct Station {
     was_lost: bool,
     /// Diagnoses since a fault began.
     unnamed: u8,
+    /// Exchanges and diagnoses that it refused (UE, RR) since the last one that it answered.
+    refused: u8,
     process_at: u8,
     set_point_at: u8,
     actual_at: u8,
@@ -125,6 +127,7 @@ impl Station {
             passed_over: false,
             was_lost: false,
             unnamed: 0,
+            refused: 0,
             process_at: process_at as u8,
             set_point_at: word(drive.scale.set_point, outputs)?,
             actual_at: word(drive.scale.actual, inputs)?,
@@ -163,6 +166,7 @@ impl Station {
     /// Adds what it touches besides itself, to be locked.
     pub(super) fn memory(&self, regions: &mut Regions) {
         regions.add(self.telegram.bytes());
+        regions.add(self.start_up.wanted());
         regions.add(&*self.shown);
         self.native.memory(regions);
         self.acyclic.memory(regions);
@@ -193,6 +197,11 @@ impl Station {
     /// Why it is not in Data_Exchange, unless its diagnosis is to say so first.
     pub(super) fn note(&self) -> Option<Note> {
         self.start_up.note()
+    }
+
+    /// The identifier bytes that it wants, as far as there is room for them.
+    pub(super) fn wanted(&self) -> &[u8; WANTED] {
+        self.start_up.wanted()
     }
 
     /// Builds the outputs of the next send in place. Built again for the same send, they are the same: state that

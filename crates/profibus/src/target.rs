@@ -8,6 +8,7 @@
 use std::borrow::Cow;
 
 use super::plan::Numbers;
+use super::wire::base_mode::Format;
 use super::wire::drivecom::{ErrorCode, index_of};
 use super::wire::errors::ErrorNumber;
 use super::wire::fc;
@@ -24,6 +25,34 @@ pub struct Parameter {
     pub sub: u8,
     /// What its value is taken for.
     pub kind: Kind,
+}
+
+impl Parameter {
+    /// The value that a reply has in this format, and what it is: its raw bits, extended to 32 where the address does
+    /// not say how many it has. An address that says something else is refused, with this status.
+    pub(super) fn reported(self, format: Format, raw: u64) -> Result<(u32, Kind), u32> {
+        let expected = self.kind();
+        let signed = expected.integer().is_some_and(|integer| integer.signed);
+        let kind = format.kind(signed).ok_or(BROKEN)?;
+        match kind.integer() {
+            Some(integer) if self.kind == Kind::Own => Ok((integer.number(raw) as u32, kind)),
+            Some(integer) if self.kind == kind => Ok((integer.raw(raw.cast_signed()) as u32, kind)),
+            _ => Err(contradicts(expected, format)),
+        }
+    }
+}
+
+/// The address of a call behind its answer, which says what its value is: where the address itself does not, and the
+/// catalogue says something else.
+pub(super) fn learned(address: u32, kind: Kind) -> u32 {
+    match Target::unpack(address) {
+        Some(Target::Parameter(own))
+            if own.kind == Kind::Own && !matches!(kind, Kind::Own) && kind != own.kind() =>
+        {
+            Target::Parameter(Parameter { kind, ..own }).pack()
+        }
+        _ => address,
+    }
 }
 
 impl Numbers {
@@ -109,6 +138,9 @@ const LINK: u32 = 0x3000_0000;
 /// A DRIVECOM error of another class: the rest of it.
 const OTHER: u32 = 0x4000_0000;
 
+/// The drive's reply is of another kind than its address: the kind, and the format of the reply.
+const KIND: u32 = 0x5000_0000;
+
 /// There is no such call for this address.
 pub const NO_CALL: u32 = OWN;
 /// The code is beyond those of the path to the drive's parameters.
@@ -126,16 +158,20 @@ pub const NOT_READ: u32 = OWN + 6;
 /// What was handed over to be written is not whole.
 pub const NOT_LOADED: u32 = OWN + 7;
 
+/// Its answer to a write is none.
+pub const BROKEN_WRITE: u32 = OWN + 8;
+
 /// The meanings of this side's own statuses, in their order.
-const OWN_REASONS: [&str; 8] = [
+const OWN_REASONS: [&str; 9] = [
     "it cannot be read or written so: texts and records are written whole, and have parts",
     "there is no such code on the drive's path of parameters: look at `parameters.path`",
     "the drive has no path of parameters: set `parameters.path`",
     "DP-V1 is not enabled: set bit 7 of the first byte of `user_prm`",
     "the channel in the process data has no texts: they need `parameters.path = \"msac1\"`",
-    "the drive's answer cannot be understood; what was to be written may have been written",
+    "the drive's answer cannot be understood",
     "there is no such part of the data read before",
     "the value to be written was not handed over as a whole",
+    "the drive's answer cannot be understood; what was to be written may have been written",
 ];
 
 /// The status of an error number.
@@ -158,6 +194,22 @@ pub(super) fn link(function: u8) -> u32 {
     LINK | u32::from(function)
 }
 
+/// The status of a reply in this format to an address of that kind.
+pub(super) fn contradicts(expected: Kind, format: Format) -> u32 {
+    KIND | u32::from_be_bytes([0, 0, expected as u8, format.0])
+}
+
+/// Why a reply in this format is none to an address of that kind.
+fn contradiction(expected: u8, format: Format) -> String {
+    let named = Kind::ALL.into_iter().find(|kind| *kind as u8 == expected);
+    let kinds = [true, false].map(|signed| format.kind(signed).map_or("", Kind::name));
+    let fits = if kinds[0] == kinds[1] { kinds[0].to_owned() } else { kinds.join(" or .") };
+    format!(
+        "the drive reports {format}, and its address says {}: write .{fits} behind the code",
+        named.map_or("something else", Kind::name)
+    )
+}
+
 /// The meaning of a status.
 pub(super) fn reason(status: u32) -> Cow<'static, str> {
     let [_, decode, code_1, code_2] = status.to_be_bytes();
@@ -172,6 +224,7 @@ pub(super) fn reason(status: u32) -> Cow<'static, str> {
         MSAC1 => Refusal { decode, code_1, code_2 }.to_string().into(),
         LINK => format!("the module refused it with {}", fc::refusal(code_2)).into(),
         OTHER => format!("unknown error {rest:#010x}").into(),
+        KIND => contradiction(code_1, Format(code_2)).into(),
         _ => format!("status {status:#x}").into(),
     }
 }
@@ -190,11 +243,21 @@ mod tests {
             (msac1(Refusal { decode: 0x80, code_1: 0xB0, code_2: 7 }), "no such index (80 B0 07)"),
             (link(3), "the module refused it with RS: service not active"),
             (link(5), "the module refused it with a function that is no refusal"),
+            (
+                contradicts(Kind::I32, Format(0x42)),
+                "the drive reports a word of 16 bits (format 42h), and its address says i32: write .i16 or \
+                 .u16 behind the code",
+            ),
+            (
+                contradicts(Kind::I32, Format(9)),
+                "the drive reports text (format 09h), and its address says i32: write .text behind the code",
+            ),
             (0xA000_0000, "status 0xa0000000"),
         ] {
             assert_eq!(reason(status), expected);
         }
-        let own = [NO_CALL, UNREACHABLE, NO_PATH, NO_DPV1, NO_TEXT, BROKEN, NOT_READ, NOT_LOADED];
+        let own =
+            [NO_CALL, UNREACHABLE, NO_PATH, NO_DPV1, NO_TEXT, BROKEN, NOT_READ, NOT_LOADED, BROKEN_WRITE];
         assert!(own.iter().all(|own| !reason(*own).starts_with("status")));
     }
 

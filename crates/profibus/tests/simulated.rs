@@ -29,9 +29,15 @@ fn scanned(change: impl FnOnce(&mut ProfibusSegment)) -> Result<Vec<Found>, Scan
 
 #[test]
 fn stations_are_found_with_their_ident_numbers_and_keep_waiting_for_their_master() {
-    let found = scanned(|segment| segment.drives[1].ident = 0x1234).unwrap();
+    let found = scanned(|segment| {
+        segment.drives[1].ident = 0x1234;
+        segment.drives[1].configuration = vec![0xF3, 0xB1, 0x71];
+    });
+    let found = found.unwrap();
     let addresses: Vec<u8> = found.iter().map(|found| found.address).collect();
     assert_eq!(addresses, [3, 9]);
+    assert_eq!(found[0].configuration, [0xF3, 0xF1]);
+    assert_eq!(found[1].configuration, [0xF3, 0xB1, 0x71], "what it wants, whatever its master has");
     let seen: Vec<_> = found.iter().map(|found| found.diagnosis().unwrap()).collect();
     assert_eq!((seen[0].ident, seen[1].ident), (LenzeDrive::IDENT, 0x1234));
     for seen in &seen {

@@ -225,11 +225,8 @@ fn verdict(summary: &Summary) -> String {
     };
     let failures = summary.failures.iter().filter(|failure| failure.fails_run);
     let faults = [
-        named("never answered", &|drive| drive.answered == 0),
+        named("not online", &|drive| drive.losses == 0 && !drive.is_online()),
         named("lost on the way", &|drive| drive.losses > 0),
-        named("not online at the end", &|drive| {
-            drive.answered > 0 && drive.losses == 0 && !drive.is_online()
-        }),
         named("stopped by an overrun", &Drive::was_overrun),
     ];
     let stopped = summary.stopped_axes().map(|axes| format!("stopped: {axes}"));

@@ -77,9 +77,9 @@ impl Monitor {
         self.0.gauges.devices()
     }
 
-    /// Why drive `index` has no connection; `None`: it has one, needs none, or its first opening is under way.
+    /// Why drive `index` is not online, and what to do; `None`: it is, or nothing is known yet.
     pub fn not_connected(&self, index: usize) -> Option<String> {
-        self.0.gauges.axes.get(index)?.info.not_connected()
+        self.0.gauges.not_connected(index)
     }
 
     /// What is to be known of drives and devices although they are in operation, since the configuration does not say

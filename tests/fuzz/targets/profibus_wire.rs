@@ -5,7 +5,7 @@ use fieldbeat::axis::State;
 use fieldbeat_profibus::wire::base_mode::{Outcome, Response};
 use fieldbeat_profibus::wire::dp::{Configuration, Diagnosis};
 use fieldbeat_profibus::wire::fc::FunctionCode;
-use fieldbeat_profibus::wire::job::Job;
+use fieldbeat_profibus::wire::job::{Job, Raw};
 use fieldbeat_profibus::wire::msac1::Answer;
 use fieldbeat_profibus::wire::telegram::{Frame, Head, MAX, Malformed, Next, Telegram, token};
 use fieldbeat_profibus::wire::words::{DrivecomStatus, ProfidriveStatus};
@@ -100,7 +100,10 @@ fn service(data: &[u8]) {
         assert_eq!(drivecom::reply(&job, !handshake, channel), None);
         let reply = drivecom::reply(&job, handshake, channel).expect("its own");
         let data = u32::from_be_bytes(channel[4..].try_into().expect("four bytes"));
-        assert_eq!(reply, if channel[0] & 0x80 == 0 { Ok(data) } else { Err(drivecom::ErrorCode(data)) });
+        match reply {
+            Err(error) => assert!(channel[0] & 0x80 != 0 && error.0 == data),
+            Ok(Raw { bits, raw }) => assert_eq!((channel[0] & 0x80, data >> (32 - bits)), (0, raw)),
+        }
     }
     if let Some(word) = data.first_chunk().map(|bytes| u16::from_be_bytes(*bytes)) {
         for state in [DrivecomStatus(word).state(), ProfidriveStatus(word).state()] {

@@ -361,7 +361,7 @@ fn only_counted(
                     answered: 0,
                     suspect: if line.can.round_trip { c.suspect } else { 0 },
                     // What the protocol calls it besides.
-                    own: if c.malformed + c.foreign > 0 { [0; OWN_COUNTERS] } else { c.own },
+                    own: if c.malformed + c.foreign + unmatched > 0 { [0; OWN_COUNTERS] } else { c.own },
                     ..c
                 }
             });

@@ -10,6 +10,7 @@ mod campaign;
 mod carrier;
 mod commanding;
 mod commands;
+mod diagnosis;
 mod evidence;
 mod faults;
 #[path = "../../support/fuse.rs"]

@@ -239,7 +239,10 @@ pub enum Failure {
     )]
     TimedOut(State),
     /// The drive accepted none of the repeated motion commands.
-    #[error("the drive did not take the motion command: check its run mode (motion command interface)")]
+    #[error(
+        "the drive did not take the motion command, or each time it was lost on the way: look at `missed` and at \
+         the drive's own mode (of a LinMot: run mode motion command interface), then repeat it"
+    )]
     NotTaken,
     /// The drive has ended the motion at another position.
     #[error(
@@ -269,7 +272,7 @@ pub enum Failure {
     #[error("the axis is stopped ({0}): reset, then enable")]
     Latched(StopCause),
     /// The link is not up.
-    #[error("the drive is not online: look at its address and cable, then wait_online")]
+    #[error("the drive is not online: `fieldbeat status` and Master::wait_online say why")]
     NotOnline,
     /// A value outside the configured limits.
     #[error(

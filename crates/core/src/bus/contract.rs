@@ -195,6 +195,11 @@ pub trait Notes: Debug + Send + Sync {
     /// Why drive `index` has no connection; `None`: it has one, or its first opening is under way.
     fn get(&self, index: usize) -> Option<String>;
 
+    /// That reason says only that nothing came: where something was counted, that says more.
+    fn is_vague(&self, _index: usize) -> bool {
+        false
+    }
+
     /// Why device `index`, which is not a drive, is not in operation; `None`: it is.
     fn device(&self, _index: usize) -> Option<String> {
         None

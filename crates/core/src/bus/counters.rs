@@ -31,8 +31,28 @@ pub struct Counters {
     pub own: [u64; OWN_COUNTERS],
 }
 
+impl Counters {
+    /// What was counted since it was `before`.
+    pub fn since(&self, before: &Counters) -> Counters {
+        let of = |count: fn(&Counters) -> u64| count(self).saturating_sub(count(before));
+        Counters {
+            sent: of(|counters| counters.sent),
+            unsent: of(|counters| counters.unsent),
+            answered: of(|counters| counters.answered),
+            missed: of(|counters| counters.missed),
+            late: of(|counters| counters.late),
+            duplicate: of(|counters| counters.duplicate),
+            suspect: of(|counters| counters.suspect),
+            implausible: of(|counters| counters.implausible),
+            malformed: of(|counters| counters.malformed),
+            foreign: of(|counters| counters.foreign),
+            own: std::array::from_fn(|index| self.own[index].saturating_sub(before.own[index])),
+        }
+    }
+}
+
 /// The most counters that a protocol has of its own.
-pub const OWN_COUNTERS: usize = 13;
+pub const OWN_COUNTERS: usize = 14;
 
 /// A counter that only one protocol has.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

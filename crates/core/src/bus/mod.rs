@@ -5,6 +5,7 @@
 //! | `contract` | [`Bus`]: an open bus on the real-time thread, and what passes between it and the loop |
 //! | `desired` | what the loop wants of a drive, and what shows that the drive has it |
 //! | `counters` | exact counts of a drive's exchanges, and of what belongs to no drive |
+//! | `diagnosis` | why a drive is not online, from these counts |
 //! | `plan`, `error` | [`BusPlan`]: a bus as configured, before any socket is open; why it cannot be opened |
 //! | `native` | the native process data of a drive for a recording |
 //! | `drives` | what the buses of all protocols do with their drives |
@@ -15,6 +16,7 @@ pub mod cia402;
 pub mod contract;
 pub mod counters;
 pub mod desired;
+pub mod diagnosis;
 pub mod drives;
 mod error;
 pub mod native;

@@ -6,6 +6,7 @@ use std::net::SocketAddrV4;
 use std::sync::Arc;
 
 use super::desired::Capabilities;
+use super::diagnosis::Row;
 use super::native::NativeLayout;
 use super::variant::Variant;
 use super::{Bus, OpenError, OwnCounter};
@@ -131,6 +132,12 @@ pub trait BusPlan: Any + Debug + Send + Sync {
     #[doc(hidden)]
     fn wire_us(&self) -> Option<usize> {
         None
+    }
+
+    /// What the counts of a drive mean that is not online, the most specific symptoms first.
+    #[doc(hidden)]
+    fn diagnosis(&self) -> &'static [Row] {
+        &[]
     }
 
     /// The names of the fault codes of its drives.

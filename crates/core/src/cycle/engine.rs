@@ -555,7 +555,9 @@ impl<C: Clock> Engine<C> {
         let status = Status { planned: self.grid.planned(), ..self.status };
         let drives = (self.axes.iter().zip(&self.controllers).zip(&self.slots))
             .map(|((axis, controller), slot)| {
-                let mut end = axis.info.with(*controller.feedback(), controller.numbers(slot));
+                let unmatched = self.buses.get(axis.info.bus).map(|open| open.bus.unmatched());
+                let (feedback, numbers) = (*controller.feedback(), controller.numbers(slot));
+                let mut end = axis.info.with(feedback, numbers, &unmatched.unwrap_or_default());
                 end.at_end = controller.at_end();
                 end
             })

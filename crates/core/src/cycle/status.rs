@@ -4,7 +4,8 @@ use std::sync::Arc;
 
 use super::engine::LoopPanic;
 use crate::axis::cell::Reader;
-use crate::axis::{Feedback, MONITOR_CHANNELS, Observer, Unit};
+use crate::axis::{Feedback, Link, MONITOR_CHANNELS, Observer, Unit};
+use crate::bus::diagnosis::{Row, Seen};
 use crate::bus::{BusClock, Counters, Notes, OwnCounter, ProtocolCounters, Unmatched};
 pub use crate::drive::at_end::{AtEnd, Condition, StopRequest};
 pub use crate::drive::numbers::{DriveNumbers, Extent, Peak, Peaks};
@@ -110,13 +111,24 @@ pub struct AxisInfo {
     pub protocol: &'static str,
     /// If it needs a connection: the notes of its bus, and its index there.
     pub connection: Option<(Arc<dyn Notes>, usize)>,
+    /// What its counts mean if it is not online.
+    pub diagnosis: &'static [Row],
+    /// Its link as it was seen so far.
+    pub seen: Seen,
+    /// The index of its bus.
+    pub bus: usize,
 }
 
 impl AxisInfo {
-    /// Why it has no connection; `None`: it has one, needs none, or its first opening is under way.
-    pub fn not_connected(&self) -> Option<String> {
-        let (notes, index) = self.connection.as_ref()?;
-        notes.get(*index)
+    /// What is wrong with its link, or was when that was lost, and whether it is now; `None`: nothing is, or nothing is
+    /// known yet.
+    fn diagnosis(&self, link: Link, numbers: &DriveNumbers, unmatched: &Unmatched) -> Option<(String, bool)> {
+        let noted = self.connection.as_ref();
+        let noted = noted.and_then(|(notes, at)| Some((notes.get(*at)?, notes.is_vague(*at))));
+        let is_now = link != Link::Online || matches!(noted, Some((_, false)));
+        let counted = (&numbers.counters, unmatched);
+        let why = self.seen.diagnose(self.diagnosis, (link, numbers.losses), counted, noted);
+        why.map(|why| (why, is_now))
     }
 
     /// What is to be known of it although it is in operation.
@@ -126,11 +138,13 @@ impl AxisInfo {
     }
 
     /// The axis in numbers.
-    pub fn with(&self, feedback: Feedback, numbers: DriveNumbers) -> DriveEnd {
+    pub fn with(&self, feedback: Feedback, numbers: DriveNumbers, unmatched: &Unmatched) -> DriveEnd {
+        let diagnosis = self.diagnosis(feedback.link, &numbers, unmatched);
+        let not_connected = diagnosis.clone().filter(|(_, is_now)| *is_now).map(|(why, _)| why);
         let DriveNumbers { counters, losses, peaks, monitor } = numbers;
-        let (name, not_connected) = (self.name.clone(), self.not_connected());
         DriveEnd {
-            name,
+            name: self.name.clone(),
+            diagnosis: diagnosis.map(|(why, _)| why),
             protocol: self.protocol,
             feedback,
             not_connected,
@@ -200,14 +214,23 @@ impl Gauges {
         let Gauges { status, axes, buses } = self;
         Numbers {
             status: status.read(),
-            drives: (axes.iter())
-                .map(|axis| axis.info.with(axis.observer.feedback(), axis.numbers.read()))
-                .collect(),
+            drives: axes.iter().map(|axis| self.drive(axis)).collect(),
             clocks: buses.iter().map(|bus| bus.clock.read()).collect(),
             buses: buses.iter().map(|bus| bus.info.with(bus.unmatched.read())).collect(),
             devices: self.devices(),
             ..Numbers::default()
         }
+    }
+
+    fn drive(&self, axis: &AxisGauge) -> DriveEnd {
+        let unmatched =
+            self.buses.get(axis.info.bus).map_or_else(Unmatched::default, |bus| bus.unmatched.read());
+        axis.info.with(axis.observer.feedback(), axis.numbers.read(), &unmatched)
+    }
+
+    /// Why drive `index` is not online, and what to do; `None`: it is, or nothing is known yet.
+    pub fn not_connected(&self, index: usize) -> Option<String> {
+        self.drive(self.axes.get(index)?).not_connected
     }
 
     /// What takes part without being a drive, in the order of the plan.
@@ -267,8 +290,10 @@ pub struct DriveEnd {
     pub protocol: &'static str,
     /// The last feedback.
     pub feedback: Feedback,
-    /// Why it has no connection; `None`: it has one, needs none, or its first opening is under way.
+    /// Why it is not online, and what to do; `None`: it is, or nothing is known yet.
     pub not_connected: Option<String>,
+    /// The same, and also of a drive that was lost and is back: why it was.
+    pub diagnosis: Option<String>,
     /// Its exchanges.
     pub counters: Counters,
     /// Times that the link was lost.
@@ -324,7 +349,17 @@ mod tests {
         notes.set(1, Some("refused".to_owned()));
         let why = |index: Option<usize>| {
             let connection = index.map(|index| (Arc::new(notes.clone()) as Arc<dyn Notes>, index));
-            AxisInfo { name: "x".to_owned(), protocol: "modbus-tcp", connection }.not_connected()
+            let info = AxisInfo {
+                name: "x".to_owned(),
+                protocol: "modbus-tcp",
+                connection,
+                diagnosis: &[],
+                seen: Seen::default(),
+                bus: 0,
+            };
+            let end = info.with(Feedback::default(), DriveNumbers::default(), &Unmatched::default());
+            assert_eq!(end.diagnosis, end.not_connected);
+            end.not_connected
         };
         assert_eq!([None, Some(0), Some(1)].map(why), [None, None, Some("refused".to_owned())]);
         notes.set(1, None);

@@ -134,6 +134,11 @@ pub trait Handshake: Debug + Send {
     /// dropped, this is dropped instead.
     fn closed(&mut self, _now: Time, _why: &str) {}
 
+    /// Why it has not ended in its time, if it was answered.
+    fn overdue(&self) -> Option<String> {
+        None
+    }
+
     /// It has ended in order, and needs no connection any more: that there is none gets no note.
     fn has_ended(&self) -> bool {
         false

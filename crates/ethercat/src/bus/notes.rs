@@ -41,6 +41,10 @@ impl Notes for SlaveNotes {
         self.note(self.drives.get(index)?)
     }
 
+    fn is_vague(&self, _index: usize) -> bool {
+        self.wire.load(Ordering::Relaxed) == NOTHING_BACK
+    }
+
     fn device(&self, index: usize) -> Option<String> {
         self.note(self.devices.get(index)?)
     }

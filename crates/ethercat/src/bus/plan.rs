@@ -6,6 +6,7 @@ use std::sync::Arc;
 
 use super::EthercatBus;
 use crate::counters::OWN;
+use crate::diagnosis::DIAGNOSIS;
 use crate::fields::layout;
 use crate::image::Image;
 use crate::object::Objects;
@@ -18,6 +19,7 @@ use fieldbeat_core::axis::acyclic::Notation;
 use fieldbeat_core::axis::feedback::MONITOR_CHANNELS;
 use fieldbeat_core::axis::{AxisPlan, FaultNames, FoundRunning, MonitorChannel, PlanFault, SilenceFaults};
 use fieldbeat_core::bus::desired::Capabilities;
+use fieldbeat_core::bus::diagnosis::Row;
 use fieldbeat_core::bus::native::NativeLayout;
 use fieldbeat_core::bus::variant::Variant;
 use fieldbeat_core::bus::{Bus, BusPlan, OpenError, OwnCounter};
@@ -137,6 +139,10 @@ impl BusPlan for EthercatPlan {
 
     fn silence_faults(&self) -> SilenceFaults {
         |code| code == u32::from(faults::Fault::SYNCHRONISATION.code)
+    }
+
+    fn diagnosis(&self) -> &'static [Row] {
+        &DIAGNOSIS
     }
 
     fn notation(&self) -> Arc<dyn Notation> {

@@ -275,6 +275,9 @@ impl Session {
             self.connection(opened, outputs, version, self.destination(addresses.outgoing), self.generation);
         self.io = Io::Open { generation: self.generation, opened: open, _group: group };
         self.note(None);
+        // A configured version is refused or described by `check`.
+        let unasked = self.access(version) != self.drive.connection && self.drive.version.is_none();
+        self.remarks.set(0, unasked.then(|| words::INPUT_ONLY.to_owned()));
         self.tell(News::Opened(connection));
     }
 

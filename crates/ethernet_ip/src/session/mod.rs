@@ -168,6 +168,7 @@ pub struct Session {
     end: SessionEnd,
     groups: Option<Arc<dyn Groups>>,
     notes: LinkNotes,
+    remarks: LinkNotes,
     calls: Calls,
     inbox: Vec<u8>,
     phase: Phase,
@@ -220,6 +221,7 @@ impl Session {
             end,
             groups,
             notes: LinkNotes::new(1),
+            remarks: LinkNotes::new(1),
             calls: Calls::new(port),
             inbox: Vec::new(),
             phase: Phase::Absent,
@@ -249,6 +251,11 @@ impl Session {
     /// Why the class 1 connection is not open, although the session is: at index 0.
     pub fn notes(&self) -> LinkNotes {
         self.notes.clone()
+    }
+
+    /// What is to be known of the drive although the connection is open: at index 0.
+    pub fn remarks(&self) -> LinkNotes {
+        self.remarks.clone()
     }
 
     fn note(&self, note: Option<String>) {
@@ -311,7 +318,6 @@ impl Session {
         self.close_later(*opened);
         self.io = Io::Closed { from: now + LEAST_PAUSE_NS };
         self.facts_due = true;
-        self.note(Some("the drive's packets have ended: the connection is opened anew".into()));
         self.tell(News::Closed { generation: timed_out });
     }
 

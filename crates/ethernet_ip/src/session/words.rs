@@ -46,6 +46,11 @@ fn remedy(status: &Status) -> &'static str {
     }
 }
 
+/// The drive is of the first version, which nobody has configured.
+pub(super) const INPUT_ONLY: &str = "it is of version v1, which has no output assembly: its connection only \
+     reads, and no command reaches it; set \
+     version = \"v1\", or use a drive of version v2";
+
 /// The opening was refused.
 pub(super) fn refused(status: &Status, pause_ns: u64) -> String {
     format!(

@@ -18,7 +18,7 @@ use self::request::Template;
 use super::calls::{Calls, commanding};
 use super::counters::Own;
 use super::echo::Echo;
-use super::handshake::{Finding, Found};
+use super::handshake::{BUSY_WITHIN, Finding, Found};
 use super::identity::Identity;
 use super::mapping::{Image, Mapping};
 use super::native::{Native, NativePort, native};
@@ -40,10 +40,9 @@ use fieldbeat_core::time::Time;
 
 /// The end waits so many reply times for the drive's time-out to be disarmed.
 const DISARM_WITHIN: u64 = 3;
-/// A cyclic exchange that is refused so often in a row does not match the handshake: the handshake is repeated ...
+/// A cyclic exchange that is refused so often in a row does not match the handshake, which is repeated: as it is after
+/// the drive was busy for [`BUSY_WITHIN`].
 const MOST_REFUSALS: u32 = 3;
-/// ... and so it is after the drive was busy for so many reply times.
-const BUSY_WITHIN: u64 = 4;
 
 /// One drive as the master sees it. What each exchange touches comes first: it lies on a few lines of the cache.
 #[derive(Debug)]
@@ -204,6 +203,8 @@ impl Blocks {
 
 /// Why a connection has to be given up.
 pub type Why = &'static str;
+/// What was counted says more than this.
+pub(super) const SILENT: Why = "a request was not answered within twice its time";
 
 impl Station {
     /// The station of `drive`, and the application's ends of its native process
@@ -301,6 +302,8 @@ impl Station {
         slot.evidence.accepted = Accepted::default();
         self.profile.prove(&self.conn.inputs, &mut slot.evidence);
         slot.reachable = true;
+        slot.counters.own[Own::SecondReplies as usize] += u64::from(finding.duplicates);
+        slot.counters.own[Own::Exceptions as usize] += u64::from(finding.busy);
         if std::mem::replace(&mut self.opened_before, true) {
             Own::Reopened.count(&mut slot.counters);
         }
@@ -335,7 +338,9 @@ impl Station {
         self.disconnected();
         match broken {
             _ if on_both => "the drive closes it on FC23; FC16 and FC03 are used from now on",
-            Broken::Closed => "the drive has closed the connection",
+            Broken::Closed => {
+                "the drive has closed the connection; end other masters and tools that are connected to it"
+            }
             _ => "the connection broke",
         }
     }
@@ -353,7 +358,7 @@ impl Station {
         let busy =
             self.conn.busy_since.is_some_and(|since| now.since(since) > BUSY_WITHIN * self.reply_within_ns);
         let why = match () {
-            () if silent => "a request was not answered within twice its time",
+            () if silent => SILENT,
             () if busy => "the drive is busy all the time",
             () if self.conn.refused.0.max(self.conn.refused.1) < MOST_REFUSALS => return None,
             () if self.functions.is_only() => {

@@ -9,7 +9,7 @@
 
 use super::super::plan::{CHANNEL, ParameterPath};
 use super::super::target::{BROKEN, drivecom as drivecom_status, number};
-use super::super::wire::job::Job;
+use super::super::wire::job::{Job, Raw};
 use super::super::wire::{drivecom, pkw};
 
 /// DRIVECOM: the handshake bit that a drive shows without a job is taken over at one of so many answers.
@@ -109,7 +109,7 @@ impl Channel {
     }
 
     /// The channel in the inputs of the last exchange: how the job has ended, if it has. An error is a status.
-    pub(super) fn answered(&mut self, bytes: &[u8; CHANNEL]) -> Option<Result<u32, u32>> {
+    pub(super) fn answered(&mut self, bytes: &[u8; CHANNEL]) -> Option<Result<Raw, u32>> {
         // Else it answers what was there before.
         if !self.is_out {
             return None;

@@ -2,10 +2,10 @@
 //!
 //! A write of which the outcome is not known ends as timed out, since the drive may have carried it out.
 
-use super::super::target::BROKEN;
+use super::super::target::{BROKEN, BROKEN_WRITE, Kind, learned};
 use super::request::Next;
 use super::transfer::Event;
-use super::{Acyclic, Answer, Way, Work};
+use super::{Acyclic, Answer, Read, Way, Work};
 use fieldbeat_core::axis::acyclic::long::{Kept, raw};
 use fieldbeat_core::axis::acyclic::{Answer as CallAnswer, CallError};
 use fieldbeat_core::time::Time;
@@ -18,6 +18,18 @@ impl Acyclic {
         let perhaps_done = |_: &Work, _| Err(CallError::TimedOut);
         match (of.way, transfer.answered(at, answer)) {
             (Way::Channel(_), _) | (_, Event::None) => {}
+            // A response to an earlier request may be in the way, which nobody has read.
+            (Way::Request { response: false }, Event::NotNow) => {
+                of.way = Way::Unread;
+                requests.read_response(transfer);
+                transfer.wait(at);
+            }
+            (Way::Unread, Event::Done(_) | Event::Unknown) => self.request_anew(),
+            (Way::Unread, Event::NotNow) => {
+                self.request_anew();
+                self.work.transfer.wait(at);
+            }
+            (_, Event::NotNow) => {}
             // The drive has the request, and only its response was refused.
             (Way::Request { response: true }, Event::Refused(status)) if of.writes && status != BROKEN => {
                 self.finish(perhaps_done);
@@ -27,7 +39,7 @@ impl Acyclic {
                 if let ([Some(posted), ..], false) = (&of.calls, of.writes) {
                     *read = Kept::of_read(posted, data.len(), data);
                 }
-                self.finish_all(Ok(raw(data)));
+                self.finish_all(Ok((raw(data), Kind::Own)));
             }
             (Way::Record(_), Event::Unknown) if of.writes => self.finish(perhaps_done),
             (Way::Record(record), Event::Unknown) => transfer.read(record),
@@ -66,26 +78,31 @@ impl Acyclic {
     }
 
     /// Ends all calls under way alike; an error is a status.
-    pub(super) fn finish_all(&mut self, result: Result<u64, u32>) {
+    pub(super) fn finish_all(&mut self, result: Result<Read, u32>) {
         self.finish(|_, _| result.map_err(CallError::Refused));
     }
 
     /// Ends the request, and its calls with the result of each. What was written is the value of a write.
-    pub(super) fn finish(&mut self, result: impl Fn(&Work, usize) -> Result<u64, CallError>) {
+    pub(super) fn finish(&mut self, result: impl Fn(&Work, usize) -> Result<Read, CallError>) {
         let Some(of) = self.work.active.take() else { return };
         let mut failed = 0;
         for (place, posted) in of.calls.iter().enumerate() {
             let Some(posted) = posted else { continue };
-            let mut result = result(&self.work, place);
+            let mut result = result(&self.work, place).map_err(|error| match error {
+                CallError::Refused(BROKEN) if of.writes => CallError::Refused(BROKEN_WRITE),
+                error => error,
+            });
             if posted.series != 0 && posted.series == failed {
                 result = Err(CallError::Skipped);
             } else if result.is_err() {
                 failed = posted.series;
             }
             let address = posted.call.address;
-            let answer = |value| CallAnswer { status: 0, address, value };
-            self.port
-                .end(posted, result.map(|read| answer(if of.writes { posted.call.value } else { read })));
+            let answer = |(read, kind)| match of.writes {
+                true => CallAnswer { status: 0, address, value: posted.call.value },
+                false => CallAnswer { status: 0, address: learned(address, kind), value: read },
+            };
+            self.port.end(posted, result.map(answer));
         }
     }
 }

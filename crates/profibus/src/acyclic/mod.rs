@@ -44,9 +44,10 @@ use self::transfer::Transfer;
 
 use super::plan::{CHANNEL, LenzeDrive, ParameterPath};
 use super::target::{
-    NO_CALL, NO_DPV1, NO_PATH, NO_TEXT, NOT_LOADED, NOT_READ, Parameter, Target, UNREACHABLE,
+    BROKEN, Kind, NO_CALL, NO_DPV1, NO_PATH, NO_TEXT, NOT_LOADED, NOT_READ, Parameter, Target, UNREACHABLE,
 };
-use super::wire::job::Job;
+use super::wire::base_mode::Format;
+use super::wire::job::{Job, Raw};
 use super::wire::msac1::Record;
 use super::wire::{drivecom, pkw};
 use fieldbeat_core::axis::Link;
@@ -84,6 +85,9 @@ pub(super) enum Answer<'a> {
     Refused(u8),
 }
 
+/// What a call has read, and what the drive says that it is: [`Kind::Own`] if it says nothing.
+type Read = (u64, Kind);
+
 /// The acyclic access to one drive.
 #[derive(Debug)]
 pub(super) struct Acyclic {
@@ -120,6 +124,8 @@ enum Way {
     Record(Record),
     /// A parameter request, or the reading of its response.
     Request { response: bool },
+    /// The drive takes no request: a response to an earlier one, which nobody has read, is read first.
+    Unread,
 }
 
 /// The request under way.
@@ -143,6 +149,7 @@ impl Active {
         match self.way {
             Way::Channel(_) => self.is_out,
             Way::Request { response: true } => true,
+            Way::Unread => false,
             Way::Record(_) | Way::Request { response: false } => transfer.is_sent,
         }
     }
@@ -233,7 +240,7 @@ impl Acyclic {
             if !is_sent || now.since(left) > LEFT_NS {
                 match of.way {
                     Way::Channel(_) => self.channel.clear(None),
-                    Way::Record(_) | Way::Request { .. } => transfer.abandoned(),
+                    Way::Record(_) | Way::Request { .. } | Way::Unread => transfer.abandoned(),
                 }
                 *active = None;
             }
@@ -371,9 +378,17 @@ impl Acyclic {
     /// Data_Exchange was answered, with this channel in its inputs.
     #[inline]
     pub(super) fn channel_answered(&mut self, channel: &[u8; CHANNEL]) {
-        if let Some(ended) = self.channel.answered(channel) {
-            self.finish_all(ended.map(u64::from));
-        }
+        let Some(ended) = self.channel.answered(channel) else { return };
+        let posted = self.work.active.as_ref().and_then(|of| of.calls.first()?.as_ref());
+        // The reply to a write says nothing of its value.
+        let read = posted.filter(|posted| posted.call.service == READ).and_then(request::parameter);
+        self.finish_all(ended.and_then(|Raw { bits, raw }| match read {
+            Some(read) => {
+                let (raw, kind) = read.reported(Format::of_bits(bits).ok_or(BROKEN)?, raw.into())?;
+                Ok((raw.into(), kind))
+            }
+            None => Ok((raw.into(), Kind::Own)),
+        }));
     }
 
     /// The telegram of this turn was not answered, with all its repetitions: the drive may have received it. A job in

@@ -3,10 +3,11 @@
 //! Several codes go in one request. A text that is too long for a response is read in parts.
 
 use super::super::plan::{Numbers, ParameterPath};
-use super::super::target::{BROKEN, Parameter, Target, number};
+use super::super::target::{BROKEN, Kind, Parameter, Target, contradicts, number};
 use super::super::wire::base_mode::{Address, Head, Outcome, RECORD, Response, Values};
 use super::super::wire::errors::ErrorNumber;
 use super::super::wire::msac1::Record;
+use super::Read;
 use super::transfer::Transfer;
 use fieldbeat_core::axis::acyclic::Posted;
 use fieldbeat_core::axis::acyclic::long::{Kept, MOST, READ, raw};
@@ -24,7 +25,7 @@ pub(super) enum Next {
     /// There is more to request.
     Further,
     /// The same for all calls.
-    Over(Result<u64, u32>),
+    Over(Result<Read, u32>),
     /// For each call [its own](Requests::result).
     Each,
 }
@@ -49,11 +50,11 @@ pub(super) struct Requests {
     /// The calls in it, a bit each.
     asked: u16,
     text: Option<Text>,
-    results: [Result<u32, u32>; BATCH],
+    results: [Result<(u32, Kind), u32>; BATCH],
 }
 
 /// The code that a call is for.
-fn parameter(posted: &Posted) -> Option<Parameter> {
+pub(super) fn parameter(posted: &Posted) -> Option<Parameter> {
     match Target::unpack(posted.call.address)? {
         Target::Parameter(parameter) => Some(parameter),
         Target::Record(_) => None,
@@ -66,7 +67,7 @@ impl Requests {
             ParameterPath::Msac1 { slot, index, axis, numbers } => (Record { slot, index }, axis, numbers),
             _ => (Record { slot: 0, index: RECORD }, 0, Numbers::default()),
         };
-        let results = [Ok(0); BATCH];
+        let results = [Ok((0, Kind::Own)); BATCH];
         Requests { record, axis, numbers, reference: 0, asked: 0, text: None, results }
     }
 
@@ -136,8 +137,8 @@ impl Requests {
     }
 
     /// What became of the call at this place, as the last response says. An error is a status.
-    pub(super) fn result(&self, place: usize) -> Result<u64, u32> {
-        self.results.get(place).map_or(Err(BROKEN), |result| result.map(u64::from))
+    pub(super) fn result(&self, place: usize) -> Result<Read, u32> {
+        self.results.get(place).map_or(Err(BROKEN), |result| result.map(|(raw, kind)| (raw.into(), kind)))
     }
 
     /// A response. A text is kept in `read`.
@@ -163,12 +164,17 @@ impl Requests {
         }
         let asked = self.asked;
         let places = self.results.iter_mut().enumerate().filter(|(place, _)| asked >> place & 1 != 0);
-        for ((_, result), outcome) in places.zip(outcomes) {
-            *result = match outcome {
-                Outcome::Failed(error) => Err(number(error)),
-                Outcome::Written if write => Ok(0),
-                Outcome::Read(values) if !write => values.first().map(|value| value as u32).ok_or(BROKEN),
-                Outcome::Written | Outcome::Read(_) => Err(BROKEN),
+        for ((place, result), outcome) in places.zip(outcomes) {
+            let parameter = calls.get(place).and_then(Option::as_ref).and_then(parameter);
+            *result = match (outcome, parameter) {
+                (Outcome::Failed(error), _) => Err(number(error)),
+                (Outcome::Written, _) if write => Ok((0, Kind::Own)),
+                (Outcome::Read(values), Some(parameter)) if !write => match values.first() {
+                    Some(value) => parameter.reported(values.format, value.cast_unsigned()),
+                    None => Err(BROKEN),
+                },
+                // Or nobody waits for it.
+                (Outcome::Written | Outcome::Read(_), _) => Err(BROKEN),
             };
         }
         Next::Each
@@ -177,6 +183,11 @@ impl Requests {
     /// A text, or a part of it.
     fn text(&mut self, outcome: Outcome<'_>, calls: &[Option<Posted>], read: &mut Kept) -> Next {
         let Some(text) = &mut self.text else { return Next::Over(Err(BROKEN)) };
+        if let Outcome::Read(Values { format, .. }) = outcome
+            && format.size() != Some(1)
+        {
+            return Next::Over(Err(contradicts(Kind::Text, format)));
+        }
         let (whole, bytes) = match outcome {
             Outcome::Read(Values { bytes, .. }) if !text.parts => (bytes.len(), bytes),
             Outcome::Read(Values { bytes, .. }) => {
@@ -202,6 +213,6 @@ impl Requests {
         if let Some(posted) = calls.first().and_then(Option::as_ref) {
             *read = Kept::of_read(posted, whole, bytes);
         }
-        Next::Over(Ok(raw(bytes)))
+        Next::Over(Ok((raw(bytes), Kind::Own)))
     }
 }

@@ -6,7 +6,7 @@ use proptest::collection::vec;
 use proptest::prelude::*;
 
 use super::super::plan::Numbers;
-use super::super::target::{BROKEN, Kind, commanding};
+use super::super::target::{BROKEN, BROKEN_WRITE, Kind, commanding};
 use super::*;
 use std::sync::Arc;
 

@@ -6,7 +6,7 @@
 use super::super::target::{self, BROKEN};
 use super::super::wire::Writer;
 use super::super::wire::fc::NO_RESOURCE;
-use super::super::wire::msac1::{self, Function, RECORD_MAX, Record};
+use super::super::wire::msac1::{self, Function, RECORD_MAX, Record, Refusal};
 use super::Answer;
 use fieldbeat_core::time::{MS, Time};
 
@@ -24,6 +24,8 @@ pub(super) enum Event<'a> {
     Done(&'a [u8]),
     /// It was refused, with this status.
     Refused(u32),
+    /// It cannot be done in the present state of the drive: of a write, nothing was carried out.
+    NotNow,
     /// Telegrams were lost: it may have been carried out, or not.
     Unknown,
 }
@@ -109,6 +111,11 @@ impl Transfer {
     /// It is sent again, later.
     pub(super) fn again(&mut self, at: Time) {
         self.anew();
+        self.wait(at);
+    }
+
+    /// The next telegram leaves later.
+    pub(super) fn wait(&mut self, at: Time) {
         self.not_before = at + AGAIN_NS;
     }
 
@@ -136,7 +143,7 @@ impl Transfer {
             }
             Err(why) if answer.function == self.function && why.is_temporary() => {
                 self.again(at);
-                Event::None
+                if why.code_1 == Refusal::STATE { Event::NotNow } else { Event::None }
             }
             Err(why) if answer.function == self.function => Event::Refused(target::msac1(why)),
             _ => {

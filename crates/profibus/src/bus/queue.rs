@@ -1,5 +1,8 @@
 //! Whose turn is next.
 
+/// Each of them may have its turn.
+pub(super) const ALL: u128 = u128::MAX;
+
 /// Drives that wait for their turn, a bit each: round and round, in the order of the plan.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Queue {
@@ -20,15 +23,24 @@ impl Queue {
         self.waiting |= 1 << (index & 0x7F);
     }
 
-    /// The next one has its turn.
+    /// The drives that wait.
+    pub(super) fn waiting(&self) -> u128 {
+        self.waiting
+    }
+
+    /// The next one of those that `may` have its turn.
     #[inline]
-    pub(super) fn pop(&mut self) -> Option<u8> {
-        let behind = self.waiting & self.behind;
-        let of = if behind == 0 { self.waiting } else { behind };
+    pub(super) fn pop(&mut self, may: u128) -> Option<u8> {
+        let waiting = self.waiting & may;
+        let behind = waiting & self.behind;
+        let of = if behind == 0 { waiting } else { behind };
         let bit = of & of.wrapping_neg();
+        if bit == 0 {
+            return None;
+        }
         self.waiting ^= bit;
-        self.behind = !(bit | bit.wrapping_sub(1));
-        (bit != 0).then_some(of.trailing_zeros() as u8)
+        self.behind = !(bit | (bit - 1));
+        Some(of.trailing_zeros() as u8)
     }
 }
 
@@ -39,11 +51,13 @@ mod tests {
     #[test]
     fn all_have_their_turn_before_one_has_it_again() {
         let mut queue = Queue::default();
-        assert_eq!((queue.pop(), queue.is_empty()), (None, true));
+        assert_eq!((queue.pop(ALL), queue.is_empty()), (None, true));
         [125, 0, 7].into_iter().for_each(|index| queue.push(index));
-        assert_eq!(queue.pop(), Some(0));
+        assert_eq!((queue.pop(1 << 3), queue.pop(ALL)), (None, Some(0)));
         // Behind the last one, and before it.
         [3, 0].into_iter().for_each(|index| queue.push(index));
-        assert_eq!(std::array::from_fn(|_| queue.pop()), [Some(3), Some(7), Some(125), Some(0), None]);
+        // One that may not yet is passed over, and comes with the next round.
+        assert_eq!(queue.pop(!(1 << 3)), Some(7));
+        assert_eq!(std::array::from_fn(|_| queue.pop(ALL)), [Some(125), Some(0), Some(3), None]);
     }
 }

@@ -2,7 +2,7 @@
 
 use super::ProfibusBus;
 use crate::counters::Own;
-use crate::line::{Heard, Job, Other, Unrelated};
+use crate::line::{Answer, Heard, Job, Other, Unrelated};
 use crate::other::Sign;
 use crate::station::Station;
 use fieldbeat_core::bus::Slot;
@@ -57,8 +57,9 @@ impl ProfibusBus {
                     if let (Some(station), Some(slot)) = (self.stations.get_mut(place), slots.get_mut(place))
                     {
                         let usual = station.exchanges() && !station.starts();
+                        let bytes = if let Answer::Data { data, .. } = answer { data.len() } else { 0 };
                         station.answered(at, answer, slot);
-                        let took_ns = self.line.quiet_since().since(self.began_at);
+                        let took_ns = self.line.took_ns(self.began_at, bytes);
                         slot.counters.own[Own::WireUs as usize] += took_ns / 1_000;
                         // The answer to its first exchange ends the start-up.
                         if !usual || station.starts() {
@@ -82,7 +83,7 @@ impl ProfibusBus {
         let bit = 1_u128 << (index & 0x7F);
         self.starting = if station.starts() { self.starting | bit } else { self.starting & !bit };
         if let Some(note) = station.note() {
-            self.notes.set(index.into(), note);
+            self.notes.set(index.into(), note, station.wanted());
         }
         if station.exchanges() && station.starts() {
             // Its outputs count from the next Global_Control on, which waits for the others that are due.

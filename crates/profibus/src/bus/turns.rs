@@ -1,6 +1,7 @@
 //! What is sent, one telegram after the other.
 
 use super::ProfibusBus;
+use super::queue::ALL;
 use super::receive::WATCHFUL;
 use super::upkeep::Behind;
 use crate::counters::Own;
@@ -89,7 +90,8 @@ impl ProfibusBus {
         if self.upkeep.control_is_due(now, !self.queue.is_empty()) {
             return self.control(now, GlobalControl::OPERATE, slots);
         }
-        let Some(index) = self.queue.pop() else {
+        let may = if self.intervals.is_empty() { ALL } else { self.may_begin(now) };
+        let Some(index) = self.queue.pop(may) else {
             return self.upkeep.is_round_over() && self.end_round(cycle, now, slots);
         };
         self.last = index;
@@ -111,6 +113,9 @@ impl ProfibusBus {
         match self.net.send(0, self.line.to_send()) {
             Ok((at, count)) if self.line.sent(at, count) => {
                 self.began_at = at;
+                if let Some((least_ns, not_before)) = self.intervals.get_mut(place) {
+                    *not_before = at + *least_ns;
+                }
                 self.acyclic_after = match station.is_acyclic() {
                     true => self.own_slots.len() - 1,
                     false => self.acyclic_after.saturating_sub(1),
@@ -134,6 +139,25 @@ impl ProfibusBus {
                 false
             }
         }
+    }
+
+    /// The drives whose interval has passed, a bit each.
+    #[cold]
+    fn may_begin(&self, now: Time) -> u128 {
+        let bit = |(index, (_, not_before)): (usize, &(u64, Time))| u128::from(*not_before <= now) << index;
+        self.intervals.iter().enumerate().fold(0, |may, drive| may | bit(drive))
+    }
+
+    /// When the first of the drives that wait may have its turn, if the wire is free and nothing else is to be sent.
+    #[cold]
+    pub(super) fn next_turn_at(&self) -> Time {
+        let waiting = self.queue.waiting();
+        if !self.line.is_free() || waiting == 0 || self.upkeep.is_round_over() {
+            return Time(0);
+        }
+        let waits = |(index, _): &(usize, &(u64, Time))| waiting >> index & 1 != 0;
+        let waits = self.intervals.iter().enumerate().filter(waits);
+        waits.map(|(_, (_, not_before))| *not_before).min().unwrap_or(Time(0))
     }
 
     /// Tells all drives that what they are sent counts, or not.

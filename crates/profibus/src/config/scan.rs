@@ -1,5 +1,5 @@
-//! Lists the stations of a wire, on a normal thread: who answers FDL status, and the diagnosis of each. It changes
-//! nothing in them: no parametrisation, no process data.
+//! Lists the stations of a wire, on a normal thread: who answers FDL status, and the diagnosis and the configuration
+//! (Get_Cfg) of each. It changes nothing in them: no parametrisation, no process data.
 //!
 //! The wire is listened to first. While another master uses it nothing is sent, and the scan ends with its address.
 
@@ -35,6 +35,8 @@ pub struct Found {
     pub address: u8,
     /// The data of its diagnosis, if it has answered with one.
     pub(super) data: Vec<u8>,
+    /// The identifier bytes of the configuration that it wants (Get_Cfg); empty: it has not said.
+    pub configuration: Vec<u8>,
 }
 
 impl Found {
@@ -82,14 +84,17 @@ pub(super) type Wait<'a> = &'a mut dyn FnMut(Option<RawFd>, u64) -> Option<Time>
 
 /// The stations that answer on the wire of `plan`, whose drives do not matter, by address.
 pub fn scan(port: &mut dyn Serial, plan: &ProfibusPlan, wait: Wait<'_>) -> Result<Vec<Found>, ScanError> {
-    let mut scan = Scan { line: Line::new(plan), now: Time(0), found: Vec::new() };
+    let asked = Service::FdlStatus;
+    let mut scan = Scan { line: Line::new(plan), now: Time(0), asked, found: Vec::new() };
     scan.listen(port, wait)?;
     for _ in 0..ROUNDS {
         for address in (0..=plan.highest_address.min(STATION_MAX)).filter(|own| *own != plan.address) {
             let known = scan.found.iter().any(|found| found.address == address);
             if !known && scan.ask(port, wait, Question::Status(address))? {
-                scan.found.push(Found { address, data: Vec::new() });
-                scan.ask(port, wait, Question::Diagnosis(address))?;
+                scan.found.push(Found { address, data: Vec::new(), configuration: Vec::new() });
+                if scan.ask(port, wait, Question::Data(address, Service::SlaveDiag))? {
+                    scan.ask(port, wait, Question::Data(address, Service::GetCfg))?;
+                }
             }
         }
     }
@@ -100,12 +105,15 @@ pub fn scan(port: &mut dyn Serial, plan: &ProfibusPlan, wait: Wait<'_>) -> Resul
 #[derive(Clone, Copy)]
 enum Question {
     Status(u8),
-    Diagnosis(u8),
+    /// What this service of it reads.
+    Data(u8, Service),
 }
 
 struct Scan {
     line: Line,
     now: Time,
+    /// The service of the request that is under way.
+    asked: Service,
     found: Vec<Found>,
 }
 
@@ -168,8 +176,9 @@ impl Scan {
     fn put(&mut self, question: Question) {
         match question {
             Question::Status(address) => self.line.gap(address),
-            Question::Diagnosis(address) => {
-                let (service, (fcb, fcv)) = (Service::SlaveDiag, FIRST);
+            Question::Data(address, service) => {
+                let (fcb, fcv) = FIRST;
+                self.asked = service;
                 let head = service.head(address, self.line.address(), fcb, fcv);
                 let saps = service.saps();
                 let expected = Expected { da: address, saps, acknowledge: false, data: None };
@@ -202,8 +211,12 @@ impl Scan {
                     Heard::Answer(Job::Drive(address), answer) => {
                         answered = true;
                         let found = self.found.iter_mut().find(|found| found.address == address);
-                        if let (Some(found), Answer::Data { data, .. }) = (found, answer) {
-                            found.data = data.to_vec();
+                        match (found, answer, self.asked) {
+                            (Some(found), Answer::Data { data, .. }, Service::GetCfg) => {
+                                found.configuration = data.to_vec();
+                            }
+                            (Some(found), Answer::Data { data, .. }, _) => found.data = data.to_vec(),
+                            _ => {}
                         }
                     }
                     Heard::Answer(..) => answered = true,

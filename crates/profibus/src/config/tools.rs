@@ -124,23 +124,37 @@ pub(super) fn pause(fd: Option<RawFd>, most_ns: u64) {
 }
 
 fn text(found: &[Found]) -> String {
-    table(["address", "ident", "master", "watchdog", "state"], found.iter().map(row))
+    table(["address", "ident", "configuration", "master", "watchdog", "state"], found.iter().map(row))
 }
 
-fn row(found: &Found) -> [String; 5] {
+fn row(found: &Found) -> [String; 6] {
     let none = || "-".to_owned();
     let address = found.address.to_string();
     let Some(seen) = found.diagnosis() else {
-        return [address, none(), none(), none(), "answers without a diagnosis: no slave of DP".to_owned()];
+        return [
+            address,
+            none(),
+            none(),
+            none(),
+            none(),
+            "answers without a diagnosis: no slave of DP".to_owned(),
+        ];
     };
     let watchdog = if seen.status.has(DiagnosisStatus::WD_ON) { "on" } else { "off" };
     [
         address,
         format!("{:#06x}", seen.ident),
+        configuration(&found.configuration),
         seen.master.map_or_else(none, |master| master.to_string()),
         watchdog.to_owned(),
         state(&seen),
     ]
+}
+
+/// Its identifier bytes, as a configuration has them.
+fn configuration(bytes: &[u8]) -> String {
+    let bytes: Vec<String> = bytes.iter().map(|byte| format!("0x{byte:02X}")).collect();
+    if bytes.is_empty() { "-".to_owned() } else { format!("[{}]", bytes.join(", ")) }
 }
 
 /// What its master, or whoever is to become it, has to know.
@@ -160,6 +174,7 @@ fn object(found: &Found) -> Value {
     json!({
         "address": found.address,
         "ident": seen.map(|seen| seen.ident),
+        "configuration": (!found.configuration.is_empty()).then_some(&found.configuration),
         "master": seen.and_then(|seen| seen.master),
         "watchdog": seen.map(|seen| seen.status.has(DiagnosisStatus::WD_ON)),
         "status": seen.map(|seen| seen.status.names().collect::<Vec<_>>()),
@@ -177,23 +192,24 @@ mod tests {
         let found = |address, status: u32, master, fault: u16| {
             let status = [&status.to_le_bytes()[..3], &[master]].concat();
             let data = [&status[..], &[0, 0x82, 3], &fault.to_be_bytes()].concat();
-            Found { address, data }
+            Found { address, data, configuration: vec![0xF3, 0xF1] }
         };
         let waits = DiagnosisStatus::PRM_REQ | DiagnosisStatus::ALWAYS;
         let runs = DiagnosisStatus::WD_ON | DiagnosisStatus::ALWAYS;
-        let silent = Found { address: 126, data: Vec::new() };
+        let silent = Found { address: 126, data: Vec::new(), configuration: Vec::new() };
         let found = [found(3, waits, 255, 0), found(14, runs, 2, 0x2310), silent];
         let lines: Vec<String> = text(&found).lines().map(str::to_owned).collect();
         let words = |row: usize| lines[row].split_whitespace().collect::<Vec<_>>().join(" ");
-        assert_eq!(words(0), "address ident master watchdog state");
-        assert_eq!(words(1), "3 0x0082 - off parametrisation requested");
-        assert_eq!(words(2), "14 0x0082 2 on in operation, fault 0x2310");
-        assert_eq!(words(3), "126 - - - answers without a diagnosis: no slave of DP");
+        assert_eq!(words(0), "address ident configuration master watchdog state");
+        assert_eq!(words(1), "3 0x0082 [0xF3, 0xF1] - off parametrisation requested");
+        assert_eq!(words(2), "14 0x0082 [0xF3, 0xF1] 2 on in operation, fault 0x2310");
+        assert_eq!(words(3), "126 - - - - answers without a diagnosis: no slave of DP");
         let json = object(&found[1]);
         assert_eq!(
             (&json["ident"], &json["master"], &json["fault"]),
             (&0x82.into(), &2.into(), &0x2310.into())
         );
+        assert_eq!(json["configuration"], json!([0xF3, 0xF1]));
         assert_eq!(object(&found[2])["ident"], Value::Null);
         assert_eq!(rate("500000"), Ok(500_000));
         assert!(rate("115200").unwrap_err().contains("1500000"));

@@ -1,7 +1,11 @@
 //! Addresses and values as people write them.
 
+use std::ops::ControlFlow;
+use std::time::Duration;
+
 use super::*;
 use fieldbeat_core::axis::acyclic::long::LOAD;
+use fieldbeat_core::axis::acyclic::{Access, Answer, Condition};
 
 #[test]
 fn addresses_are_codes_and_records_and_the_known_ones_are_listed() {
@@ -36,6 +40,57 @@ fn addresses_are_codes_and_records_and_the_known_ones_are_listed() {
         Wanted { from: Some("C1"), ..wanted },
     ] {
         assert!(matches!(Codes.list(&wanted), Err(ListError::Wanted(_))));
+    }
+}
+
+/// A drive that answers each call with this kind and value.
+struct Answers(Kind, u32);
+
+impl Carrier for Answers {
+    fn run(&self, calls: &[Call], _: Duration) -> Series {
+        let answer = |call: &Call| Answer {
+            status: 0,
+            address: super::super::target::learned(call.address, self.0),
+            value: self.1.into(),
+        };
+        Series { answers: calls.iter().map(answer).collect(), failed: None }
+    }
+
+    fn condition(&self) -> Result<Condition, CallError> {
+        Err(CallError::Gone)
+    }
+
+    fn claim(&self) -> Result<Box<dyn std::any::Any + Send>, CallError> {
+        Err(CallError::Gone)
+    }
+
+    fn capacity(&self) -> usize {
+        1
+    }
+
+    fn pause(&self, _: Duration) {}
+}
+
+#[test]
+fn values_and_lists_are_what_the_drive_says_that_they_are() {
+    for (kind, raw, shown, listed) in [
+        (Kind::I32, 430_000, "430000 (0x68FB0) = 43.0000 °C", ("C0061", "i32 read")),
+        (Kind::I16, 43, "43 (0x2B) = 43 °C", ("C0061.i16", "i16 read")),
+        (Kind::I16, 0xFFFF_FFFB, "-5 (0xFFFB) = -5 °C", ("C0061.i16", "i16 read")),
+        (Kind::U32, 430_000, "430000 (0x68FB0) = 43.0000 °C", ("C0061.u32", "u32 read")),
+    ] {
+        let carrier = Answers(kind, raw);
+        let access = Access { drive: "x", notation: &Codes, carrier: &carrier };
+        assert_eq!(access.read_shown("C0061"), Ok((raw.into(), shown.to_owned())));
+        let wanted = Wanted { drive: "x", values: true, ..Wanted::default() };
+        let Ok(Listing::Read(read)) = Codes.list(&wanted) else { panic!("it is read") };
+        let rows = read(access, &mut |_| ControlFlow::Continue(())).unwrap();
+        let row = rows.iter().find(|row| row.address.starts_with("C0061")).unwrap();
+        assert_eq!(
+            (&*row.address, row.usage.as_deref(), row.raw),
+            (listed.0, Some(listed.1), Some(raw.into()))
+        );
+        assert_eq!(Codes.number("C0061", raw.into()), i64::from(raw.cast_signed()));
     }
 }
 
@@ -76,6 +131,9 @@ fn values_are_counts_or_scaled_by_their_code() {
     ] {
         assert_eq!(Codes.show(address, raw), shown);
     }
+    // In 16 bits a code has other decimals, if they are known.
+    assert_eq!(Codes.show("C0061.i16", 43), "43 (0x2B) = 43 °C");
+    assert_eq!(Codes.show("C0039.i16", 43), "43 (0x2B)");
     let number = |address| Codes.number(address, 0xFFFF_FFFE);
     assert_eq!((number("C0039"), number("C0039.u32")), (-2, 0xFFFF_FFFE));
 }

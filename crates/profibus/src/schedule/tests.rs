@@ -19,7 +19,8 @@ fn by_records(drive: &mut LenzeDrive) {
 
 #[test]
 fn a_turn_takes_what_the_sheet_says_and_begins_inside_the_windows() {
-    let sheet_us = [57_800, 28_900, 12_200, 5_920, 2_960, 1_190, 430, 250, 160, 110];
+    // At 45.45 kbit/s with a MaxTsdr of 250 bits.
+    let sheet_us = [57_800, 28_900, 16_400, 5_920, 2_960, 1_190, 430, 250, 160, 110];
     for (rate, us) in RATES.into_iter().zip(sheet_us) {
         let turn_us = wire(rate, 1).usual_turn_ns(0) as f64 / 1e3;
         assert!((turn_us / f64::from(us) - 1.0).abs() < 0.03, "{rate}: {turn_us} us");
@@ -82,6 +83,45 @@ fn what_does_not_fit_is_refused_with_what_would() {
         assert!(due <= plan.exchanges_within(S, USUAL), "{rate}, {drives}: {divisor}");
     }
     assert!(wire(9_600, 120).least_divisor(USUAL).is_none());
+    // What fits with the MaxTsdr of 60 bits that was usual before is named with it.
+    let mut plan = wire(45_450, 1).in_turn(23);
+    let said = plan.schedule_faults(USUAL);
+    let [(0, PlanFault { key: "divisor", message })] = &said[..] else { panic!("{said:?}") };
+    assert!(message.contains("; or bits = { max_tsdr = 60, slot = 100 } if the GSD"), "{message}");
+    (plan.bits.max_tsdr, plan.bits.slot, plan.bits.idle_unanswered) = (60, 100, 60);
+    assert_eq!(plan.schedule_faults(USUAL), []);
+}
+
+#[test]
+fn a_drive_that_wants_a_pause_is_asked_for_less_and_waited_for_longer() {
+    let mut plan = wire(12_000_000, 2);
+    plan.drives[1].min_slave_interval_ns = 2_500 * US;
+    let said = plan.schedule_faults(WIDE);
+    let [(1, PlanFault { key: "divisor", message })] = &said[..] else { panic!("{said:?}") };
+    assert!(message.contains("more often than min_slave_interval = 2.5 ms allows; use divisor 3 or more"));
+    assert_eq!(plan.least_divisor(WIDE), Some(3));
+    let before = plan.turn_within(0, WIDE);
+    plan.drives.iter_mut().for_each(|drive| drive.axis.divisor = 3);
+    assert_eq!(plan.schedule_faults(WIDE), []);
+    let waits = |plan: &ProfibusPlan| [plan.turn_within(0, WIDE), plan.turn_within(1, WIDE)];
+    let [one, other] = waits(&plan);
+    assert!(one <= before && other >= 2_500 * US, "{one} {other}");
+    plan.drives[1].min_slave_interval_ns = 0;
+    assert_eq!(waits(&plan), [one, other - 2_500 * US]);
+    // Alone, and always waiting: one in so long.
+    let mut plan = wire(12_000_000, 1);
+    plan.drives[0].min_slave_interval_ns = 2 * MS;
+    assert_eq!(plan.exchanges_within(S, WIDE), 500);
+}
+
+#[test]
+fn the_latency_of_a_port_is_no_time_on_the_wire() {
+    let mut plan = wire(1_500_000, 1).in_turn(30);
+    let loads = plan.loads(USUAL);
+    assert!((loads[0] - 100.0 * 430e3 / 30e6).abs() < 0.01, "{loads:?}");
+    plan.bits.latency_ns = 5 * MS;
+    assert_eq!(plan.loads(USUAL), loads);
+    assert_eq!((plan.usual_turn_ns(0), plan.wire_ns(0)), (5_430 * US, 430 * US));
 }
 
 #[test]

@@ -2,12 +2,18 @@
 
 use super::{AWAITED, FCB, FIRST, SECOND, Sending, Station};
 use crate::acyclic::{self, Turn};
+use crate::counters::Own;
 use crate::line::Answer;
 use crate::profile::Inputs;
 use crate::start_up::Step;
 use crate::wire::dp::{Diagnosis, DiagnosisStatus};
+use crate::wire::fc::NOT_ACTIVE;
 use fieldbeat_core::bus::{Exchange, Slot};
 use fieldbeat_core::time::Time;
+
+/// So many refusals (UE, RR) in a row, behind which its diagnosis shows nothing, end Data_Exchange: the drive is
+/// parametrised anew.
+const MOST_REFUSED: u8 = 20;
 
 impl Station {
     /// The telegram of its turn was answered at `at`.
@@ -20,6 +26,7 @@ impl Station {
             return self.answered_other(at, data, slot);
         }
         self.diagnosis_due |= high;
+        self.refused = 0;
         self.profile.answered();
         if !self.close(at, slot) {
             return;
@@ -54,10 +61,7 @@ impl Station {
                 self.close(at, slot);
                 self.acyclic.answered(at, acyclic::Answer::Data(data));
             }
-            Sending::StartUp => match Diagnosis::parse(data) {
-                Some(diagnosis) => self.start(&diagnosis),
-                None => self.start_up.again(false),
-            },
+            Sending::StartUp => self.start(at, data),
             Sending::Diagnosis => {
                 self.close(at, slot);
                 if let Some(diagnosis) = Diagnosis::parse(data) {
@@ -72,7 +76,7 @@ impl Station {
     #[inline(never)]
     fn answered_without(&mut self, at: Time, answer: Answer<'_>, slot: &mut Slot) {
         match (self.sending, answer) {
-            (Sending::StartUp, Answer::Refused(function)) => self.start_up.refused(function),
+            (Sending::StartUp, Answer::Refused(function)) => self.start_up.refused(at, function),
             (Sending::StartUp, _) => self.start_up.acknowledged(),
             (Sending::Msac1, Answer::Refused(function)) => {
                 self.close(at, slot);
@@ -83,6 +87,16 @@ impl Station {
                 self.acyclic.answered(at, acyclic::Answer::Acknowledged);
             }
             (Sending::Unlock, _) => self.leave(slot),
+            (Sending::DataExchange | Sending::Diagnosis, Answer::Refused(function))
+                if function != NOT_ACTIVE && self.refused < MOST_REFUSED =>
+            {
+                // It has not taken this one (RR), or cannot answer now (UE). What has become of it is in its diagnosis,
+                // which takes the next turn.
+                Own::Refused.count(&mut slot.counters);
+                self.refused += 1;
+                self.absent(slot);
+                self.diagnosis_due = self.sending == Sending::DataExchange;
+            }
             (Sending::DataExchange | Sending::Diagnosis, _) => {
                 // It does not exchange data any more.
                 self.absent(slot);
@@ -117,23 +131,24 @@ impl Station {
         if self.start_up.is_over() {
             self.was_lost = true;
         }
-        self.start_up.again(true);
+        self.start_up.left(self.grid);
         (self.diagnosis_due, self.passed_over) = (false, false);
         self.profile.dropped();
         self.acyclic.ended();
         slot.evidence.outputs_count = false;
     }
 
-    /// A diagnosis of the start-up.
-    fn start(&mut self, diagnosis: &Diagnosis<'_>) {
+    /// The answer to a step of the start-up, with data.
+    fn start(&mut self, at: Time, data: &[u8]) {
         let checks = self.start_up.step() == Step::Check;
-        self.start_up.diagnosed(diagnosis);
+        self.start_up.answered(at, data);
         if checks && self.start_up.is_over() {
+            let watched = Diagnosis::parse(data).is_some_and(|seen| seen.status.has(DiagnosisStatus::WD_ON));
             self.profile.dropped();
-            self.profile.watchdog_is(diagnosis.status.has(DiagnosisStatus::WD_ON));
+            self.profile.watchdog_is(watched);
             self.acyclic.ended();
             // Data_Exchange comes first.
-            (self.diagnosis_due, self.passed_over, self.unnamed) = (false, true, 0);
+            (self.diagnosis_due, self.passed_over, self.unnamed, self.refused) = (false, true, 0, 0);
             self.inputs = Inputs::default();
         }
     }

@@ -4,6 +4,8 @@
 //! A request is written to the record: its head, the address of each parameter, and to write, the values of each. The
 //! response is read from it, and is refused as [`STATE`](super::msac1::Refusal::STATE) until it is ready.
 
+use std::fmt;
+
 use super::errors::ErrorNumber;
 use super::job::Kind;
 use super::{Reader, Writer};
@@ -85,6 +87,43 @@ impl Format {
     /// The values have a sign.
     const fn is_signed(self) -> bool {
         matches!(self.0, 0x02..=0x04)
+    }
+
+    /// A value of so many bits, of which nothing else is known; `None`: there is none.
+    pub const fn of_bits(bits: u32) -> Option<Format> {
+        Some(Format(match bits {
+            8 => 0x41,
+            16 => 0x42,
+            32 => 0x43,
+            _ => return None,
+        }))
+    }
+
+    /// What a value is. Bits of any meaning are a number, `signed` or not. `None`: the format is unknown, or has no
+    /// value.
+    pub const fn kind(self, signed: bool) -> Option<Kind> {
+        Some(match (self.0, signed) {
+            (0x02, _) | (0x41, true) => Kind::I8,
+            (0x03, _) | (0x42, true) => Kind::I16,
+            (0x04, _) | (0x43, true) => Kind::I32,
+            (0x05, _) | (0x41, false) => Kind::U8,
+            (0x06, _) | (0x42, false) => Kind::U16,
+            (0x07, _) | (0x43, false) => Kind::U32,
+            (0x09 | 0x0A, _) => Kind::Text,
+            _ => return None,
+        })
+    }
+}
+
+impl fmt::Display for Format {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let name = match self.0 {
+            0x41 => "a byte",
+            0x42 => "a word of 16 bits",
+            0x43 => "a double word of 32 bits",
+            _ => self.kind(true).map_or("no value", Kind::name),
+        };
+        write!(f, "{name} (format {:02X}h)", self.0)
     }
 }
 

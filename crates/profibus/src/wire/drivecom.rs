@@ -1,12 +1,13 @@
 //! Path B: parameters in eight bytes of the process data by DRIVECOM, with a handshake bit (sheet, 2; EMF2133IB
 //! manual, pages 87 to 90).
 //!
-//! How many bytes a value has comes from a table of codes, never from a reply: of a reply's service byte only the
-//! handshake and the error bit can be trusted (Lenze knowledge base, article 283685).
+//! How many bytes a value has that was read is in the reply's service byte (E94AYCPM manual). Some modules leave
+//! service and length at 0: then it is that of the job. Of the reply to a write only the handshake and the error bit
+//! can be trusted (Lenze knowledge base, article 283685).
 
 use std::fmt;
 
-use super::job::{Channel, Job};
+use super::job::{Channel, Job, Raw};
 
 /// Index of the code 0.
 const INDEX_OF_CODE_0: u16 = 24575;
@@ -14,6 +15,10 @@ const INDEX_OF_CODE_0: u16 = 24575;
 const HANDSHAKE: u8 = 1 << 6;
 /// Bit 7 of a reply's service byte: the data are an error.
 const ERROR: u8 = 1 << 7;
+/// Bits 2 ... 0: the service.
+const SERVICE: u8 = 7;
+/// Bits 5 and 4: the bytes of the data, less 1.
+const LENGTH: u8 = 3 << 4;
 
 /// The index of a code; `None` if it has none.
 pub const fn index_of(code: u16) -> Option<u16> {
@@ -37,16 +42,22 @@ pub const fn encode(job: &Job, handshake: bool) -> Channel {
     [none(handshake)[0] | size | service, job.sub, high, low, a, b, c, d]
 }
 
-/// What a reply says of a job, if the job before had the other handshake bit: its value, which means nothing of a
-/// write, or why it was not carried out. `None`: nothing.
-pub const fn reply(job: &Job, handshake: bool, channel: &Channel) -> Option<Result<u32, ErrorCode>> {
+/// What a reply says of a job, if the job before had the other handshake bit: its value with its size, which means
+/// nothing of a write, or why it was not carried out. `None`: nothing.
+pub const fn reply(job: &Job, handshake: bool, channel: &Channel) -> Option<Result<Raw, ErrorCode>> {
     let &[service, sub, high, low, ref data @ ..] = channel;
     let index = u16::from_be_bytes([high, low]);
     if shows(channel) != handshake || index != INDEX_OF_CODE_0.wrapping_sub(job.code) || sub != job.sub {
         return None;
     }
     let data = u32::from_be_bytes(*data);
-    Some(if service & ERROR == 0 { Ok(data >> (32 - job.bits)) } else { Err(ErrorCode(data)) })
+    if service & ERROR != 0 {
+        return Some(Err(ErrorCode(data)));
+    }
+    let is_bare = service & (SERVICE | LENGTH) == 0;
+    let bits =
+        if is_bare || job.write.is_some() { job.bits } else { 8 * ((service & LENGTH) as u32 / 16 + 1) };
+    Some(Ok(Raw { bits, raw: data >> (32 - bits) }))
 }
 
 /// The handshake bit that the drive shows.
@@ -107,6 +118,7 @@ mod tests {
         let write = |bits, code, value| Job { write: Some(value), ..read(bits, code) };
         for (source, job, bit, bytes, answer, value) in [
             // The length of the job is don't-care, that of the reply the drive's own: 2 bytes.
+            ("E94AYCPM", read(32, 61), false, 0x3100_5FC2_0000_0000, 0x1100_5FC2_002B_0000, 43),
             ("E94AYCPM", read(16, 61), false, 0x1100_5FC2_0000_0000_u64, 0x1100_5FC2_002B_0000_u64, 43),
             ("E94AYCPM", read(16, 61), true, 0x5100_5FC2_0000_0000, 0x5100_5FC2_002B_0000, 43),
             ("EMF", read(32, 61), false, 0x3100_5FC2_0000_0000, 0x3100_5FC2_0006_8FB0, 430_000),
@@ -128,11 +140,18 @@ mod tests {
         ] {
             let [bytes, answer] = [bytes, answer].map(u64::to_be_bytes);
             assert_eq!(encode(&job, bit), bytes, "{source}");
-            assert_eq!(reply(&job, bit, &answer), Some(Ok(value)), "{source} {answer:02X?}");
+            let (read, bits) = (job.write.is_none(), 8 * (u32::from(answer[0] >> 4 & 3) + 1));
+            let raw = Raw { bits: if read { bits } else { job.bits }, raw: value };
+            assert_eq!(reply(&job, bit, &answer), Some(Ok(raw)), "{source} {answer:02X?}");
             assert_eq!(reply(&job, !bit, &answer), None, "{source}: the bit of another job");
             assert_eq!(reply(&Job { sub: 1, ..job }, bit, &answer), None, "{source}");
             assert_eq!(reply(&Job { code: job.code ^ 1, ..job }, bit, &answer), None, "{source}");
         }
+        // Neither service nor length: that of the job; three bytes are what they are.
+        let bare = reply(&read(16, 61), true, &[0x40, 0, 0x5F, 0xC2, 0, 0x2B, 0, 0]);
+        assert_eq!(bare, Some(Ok(Raw { bits: 16, raw: 43 })));
+        let three = reply(&read(16, 61), false, &[0x21, 0, 0x5F, 0xC2, 0, 0, 0x2B, 0]);
+        assert_eq!(three, Some(Ok(Raw { bits: 24, raw: 43 })));
         assert_eq!(encode(&read(8, 61), false)[0], 0x01);
         assert_eq!(encode(&write(8, 0, 0xFFFF_FF12), false)[4..], [0x12, 0, 0, 0]);
         assert_eq!((none(true), none(false)), ([0x40, 0, 0, 0, 0, 0, 0, 0], [0; 8]));

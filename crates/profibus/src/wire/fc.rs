@@ -41,12 +41,15 @@ impl FunctionCode {
 /// The function of an answer: there is no room for the data of the request.
 pub const NO_RESOURCE: u8 = 0x2;
 
+/// The function of an answer: the service is not active, as Data_Exchange of a slave that is not in it.
+pub const NOT_ACTIVE: u8 = 0x3;
+
 /// Why a request was refused, from the function of its answer.
 pub const fn refusal(function: u8) -> &'static str {
     match function {
         0x1 => "UE: user error",
         NO_RESOURCE => "RR: no resource",
-        0x3 => "RS: service not active",
+        NOT_ACTIVE => "RS: service not active",
         _ => "a function that is no refusal",
     }
 }

@@ -19,6 +19,15 @@ pub struct Job {
     pub write: Option<u32>,
 }
 
+/// A value as a reply of the channel has it, of which it says no more than its size.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct Raw {
+    /// Its bits: 8, 16, 24 or 32.
+    pub bits: u32,
+    /// The bits.
+    pub raw: u32,
+}
+
 named! {
     /// What the value of a code is. The number is that of the format in a record of parameters, the name is how people
     /// write it behind the code.

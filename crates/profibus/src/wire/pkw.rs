@@ -4,7 +4,7 @@
 //! code a second time there is no job for at least one exchange.
 
 use super::errors::ErrorNumber;
-use super::job::{Channel, Job};
+use super::job::{Channel, Job, Raw};
 
 /// The highest number of a code.
 pub const CODE_MAX: u16 = 0x0FFF;
@@ -27,17 +27,18 @@ pub const fn encode(job: &Job) -> Channel {
     [head, low, job.sub, 0, a, b, c, d]
 }
 
-/// What a reply says of a job: its value, or why it was not carried out; that is `None` if no response has such an id.
-/// `None`: the reply says nothing of it. That it is not one to the same job before is the sender's matter.
-pub const fn reply(job: &Job, channel: &Channel) -> Option<Result<u32, Option<ErrorNumber>>> {
+/// What a reply says of a job: its value with its size, or why it was not carried out; that is `None` if no response
+/// has such an id. `None`: the reply says nothing of it. That it is not one to the same job before is the sender's
+/// matter.
+pub const fn reply(job: &Job, channel: &Channel) -> Option<Result<Raw, Option<ErrorNumber>>> {
     let &[head, low, sub, _, a, b, c, d] = channel;
     if is_none(channel) || u16::from_be_bytes([head & 0x0F, low]) != job.code || sub != job.sub {
         return None;
     }
     let word = u16::from_be_bytes([c, d]);
     Some(match head >> 4 {
-        1 | 4 => Ok(word as u32),
-        2 | 5 => Ok(u32::from_be_bytes([a, b, c, d])),
+        1 | 4 => Ok(Raw { bits: 16, raw: word as u32 }),
+        2 | 5 => Ok(Raw { bits: 32, raw: u32::from_be_bytes([a, b, c, d]) }),
         // From the master, a write.
         7 => Err(Some(ErrorNumber(word))),
         // Assumed.

@@ -150,7 +150,7 @@ const LARGEST_AGE: &str = "Largest age of the feedback at the receive deadline."
 /// Of drives that are reached by a connection.
 const CONNECTION: [Field<DriveEnd>; 1] =
     [(Gauge, "drive_not_connected", NOT_CONNECTED, |of| of.not_connected.is_some().into())];
-const NOT_CONNECTED: &str = "1 while the connection to the drive cannot be opened.";
+const NOT_CONNECTED: &str = "1 while the drive is not online, and it is known why.";
 
 const BUS: [Field<Unmatched>; 3] = [
     (Count, "bus_unmatched", "Datagrams from unknown senders.", |of| of.datagrams),

@@ -19,8 +19,10 @@ pub struct Drive {
     pub protocol: &'static str,
     /// Link at the end.
     pub link: String,
-    /// Why it had no connection at the end; null: it had one, needs none, or its first opening was under way.
+    /// Why it was not online at the end, and what to do; null: it was, or nothing was known yet.
     pub not_connected: Option<String>,
+    /// The same, and also of a drive that was lost and came back: why it was.
+    pub diagnosis: Option<String>,
     /// State at the end.
     pub state: String,
     /// Times that the link was lost.
@@ -116,11 +118,6 @@ impl Drive {
         self.link == Link::Online.to_string()
     }
 
-    /// Whether most of what was missed came after all, only after its window.
-    pub fn is_late(&self) -> bool {
-        self.missed > 0 && 2 * self.late > self.missed
-    }
-
     /// Why it was stopped, other than by the end of the run.
     pub(super) fn stopped_by(&self) -> Option<&String> {
         self.stopped.as_ref().filter(|cause| **cause != StopCause::Shutdown.to_string())
@@ -148,7 +145,10 @@ impl Drive {
             notes.push("hardware enable (STO) missing".to_owned());
         }
         notes.extend(self.held().map(str::to_owned));
-        notes.extend(self.not_connected.as_ref().map(|why| format!("not connected: {why}")));
+        notes.extend(match (&self.not_connected, &self.diagnosis) {
+            (Some(why), _) => Some(format!("not connected: {why}")),
+            (None, why) => why.as_ref().map(|why| format!("was lost: {why}")),
+        });
         notes
     }
 

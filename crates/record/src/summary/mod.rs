@@ -179,6 +179,7 @@ impl Summary {
                 protocol: drive.protocol,
                 link: feedback.link.to_string(),
                 not_connected: drive.not_connected.clone(),
+                diagnosis: drive.diagnosis.clone(),
                 state: feedback.status.state.to_string(),
                 losses: drive.losses,
                 sent: counters.sent,

@@ -7,8 +7,9 @@
 //! | a request while the last one has no answer yet | RR; a poll gets the answer |
 //! | a poll without a request | acknowledged |
 //! | a write while a parameter request is under way | busy (C2) |
+//! | a write while the response to the request before was not read | state conflict (B5) |
 //! | a read without a parameter request, or before it is done | state conflict (B5) |
-//! | a response that was read | is gone; one that was not is replaced by the next request |
+//! | a response that was read | is gone |
 //! | a read for less than the response | length error (B1) |
 
 use super::Misuse;
@@ -45,7 +46,7 @@ pub(super) struct Acyclic {
     settings: AcyclicSettings,
     /// An answer, and how many polls it still waits.
     answer: Option<(u16, Vec<u8>)>,
-    /// A parameter request, and when it is done.
+    /// A parameter request whose response was not read yet, and when it is done.
     job: Option<(Time, Vec<u8>)>,
 }
 
@@ -113,8 +114,10 @@ impl Acyclic {
         }
         let is_busy = self.job.as_ref().is_some_and(|(done, _)| now < *done);
         if is_write {
-            if is_busy {
-                return Err(error::BUSY);
+            match self.job {
+                Some(_) if is_busy => return Err(error::BUSY),
+                Some(_) => return Err(error::STATE),
+                None => {}
             }
             self.job = Some((now + self.settings.busy_ns, block.to_vec()));
             return Ok(data[..4].to_vec());

@@ -10,7 +10,7 @@ use fieldbeat_core::time::{MS, S};
 use fieldbeat_keys::bus;
 use fieldbeat_keys::table::Table;
 use fieldbeat_keys::value::SOMETHING;
-use fieldbeat_profibus::{LenzeDrive, ProfibusPlan};
+use fieldbeat_profibus::{DATA_MAX, LenzeDrive, ProfibusPlan};
 
 /// Reads the simulated wire of a `[[bus]]` that is read otherwise.
 pub fn read(table: &mut Table<'_>, plan: &ProfibusPlan, period_ns: u64) -> ProfibusSegment {
@@ -61,7 +61,13 @@ fn foreign(table: &mut Table<'_>) -> Option<ForeignSettings> {
 }
 
 fn settings(table: &mut Table<'_>, drive: &LenzeDrive) -> LenzeSettings {
-    let default = LenzeSettings::of(drive);
+    // It has the process data that its own configuration makes.
+    let wanted = table.integers("configuration", DATA_MAX, u16::from(u8::MAX));
+    let wanted: Vec<u8> = wanted.into_iter().map(|byte| byte as u8).collect();
+    let default = match table.gives("configuration") {
+        true => LenzeSettings::of(&LenzeDrive { configuration: wanted, ..drive.clone() }),
+        false => LenzeSettings::of(drive),
+    };
     let full = drive.scale.full_rpm;
     let per_unit = drive.axis.units.counts_per_unit * 60.0;
     let most = (full / per_unit).abs();

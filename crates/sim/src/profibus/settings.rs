@@ -4,7 +4,7 @@
 use crate::FaultPlan;
 use fieldbeat_core::net::{Parity, Rs485, SerialLine};
 use fieldbeat_core::time::{MS, S};
-use fieldbeat_profibus::{DriveProfile, Numbers, RATES, USUAL_MAX_TSDR};
+use fieldbeat_profibus::{DriveProfile, Numbers};
 
 /// A wire with its drives. Where no document says what a drive does, the default is the strict side, and assumed.
 #[derive(Clone, Debug, PartialEq)]
@@ -111,7 +111,7 @@ impl LenzeSettings {
 pub struct LinkSettings {
     /// The time from a request to its answer, bits: at least min Tsdr, at most MaxTsdr. Default: min Tsdr.
     pub answer_bits: Option<u16>,
-    /// MaxTsdr, bits. Default: that of an SPC3 at this rate.
+    /// MaxTsdr, bits. Default: that of an SPC3 at this rate (GSD files).
     pub max_tsdr: Option<u16>,
     /// 8 bytes leave as SD3, not as SD2.
     pub sd3: bool,
@@ -120,8 +120,16 @@ pub struct LinkSettings {
 impl LinkSettings {
     /// MaxTsdr at this rate, bits.
     pub fn max_tsdr(&self, rate: u32) -> u16 {
-        let place = RATES.iter().position(|of| *of >= rate).unwrap_or(RATES.len() - 1);
-        self.max_tsdr.unwrap_or(USUAL_MAX_TSDR[place] as u16)
+        let usual = match rate {
+            45_450 => 250,
+            0..=45_449 | 45_451..=187_500 => 60,
+            187_501..=500_000 => 100,
+            500_001..=1_500_000 => 150,
+            1_500_001..=3_000_000 => 250,
+            3_000_001..=6_000_000 => 450,
+            _ => 800,
+        };
+        self.max_tsdr.unwrap_or(usual)
     }
 }
 

@@ -97,6 +97,13 @@ fn codes_are_read_and_written_by_each_path() {
         // A value of 16 bits, and twice the same.
         let word = m.parameters(0).post_read::<u16>("C0093.u16");
         assert_eq!(m.ended(word).unwrap(), 2_133, "{way:?}");
+        if !way.bare {
+            // The reply says how many bits it has: they are obeyed, and an address that says others is refused.
+            assert_eq!(m.get(0, "C0093").unwrap(), 2_133, "{way:?}");
+            let refused = m.get(0, "C0093.i32").unwrap_err().to_string();
+            let names_both = refused.contains("a word of 16 bits (format 42h), and its address says i32");
+            assert!(names_both, "{way:?}: {refused}");
+        }
         assert_eq!(m.get(0, "C0061").unwrap(), m.get(0, "C0061").unwrap());
         let refused = m.get(0, "C1999").unwrap_err().to_string();
         assert!(refused.contains("does not exist"), "{refused}");

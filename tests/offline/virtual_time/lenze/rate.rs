@@ -66,6 +66,24 @@ fn a_wire_carries_the_exchanges_that_the_formula_allows() {
 }
 
 #[test]
+fn the_latency_of_a_port_is_no_time_on_the_wire() {
+    let mut bus = wire(1_500_000, 1);
+    (bus.bits.latency_ns, bus.drives[0].axis.divisor) = (3 * MS, 16);
+    let idle_ns = bus.line().bits_ns(bus.bits.idle.into());
+    let most_us = (bus.usual_turn_ns(0) - bus.bits.latency_ns - idle_ns).div_ceil(US);
+    // The answer comes behind the window, and is read with the next one.
+    let mut m = Lenze::new(bus, CyclePlan { receive_deadline: 0.3, ..CyclePlan::default() });
+    m.online();
+    let counters = |m: &Lenze| m.sim.numbers().drives[0].counters;
+    let before = counters(&m);
+    m.sim.run(1_600);
+    let after = counters(&m);
+    let count = after.answered - before.answered;
+    let wire_us = own(&after, Own::WireUs) - own(&before, Own::WireUs);
+    assert!(count >= 99 && wire_us <= count * most_us, "{wire_us} us of {count}, {most_us} at most");
+}
+
+#[test]
 fn the_summary_states_the_bus_load() {
     let (mut m, bus) = full(12_000_000, 9, &cycle());
     m.online();

@@ -2,10 +2,11 @@
 
 use fieldbeat::axis::{Command, Jog, State};
 use fieldbeat::bus::profibus::RATES;
-use fieldbeat::sim::profibus::DpState;
+use fieldbeat::sim::profibus::{DpState, ProfibusSegment};
 use fieldbeat::time::MS;
 use fieldbeat_profibus::counters::Own;
 
+use super::tap::TapWire;
 use super::{Lenze, PROFILE, cycle, own, wire};
 
 /// A count of the actual value, revolutions/s: 1500 rpm are 16384.
@@ -58,13 +59,41 @@ fn two_drives_come_into_data_exchange_turn_stop_and_are_left_cleared_unlocked_an
 }
 
 #[test]
+fn a_drive_is_not_addressed_more_often_than_its_gsd_allows() {
+    // Now and then an answer of the one before it is lost, and its turn is late.
+    for interval_ns in [0, 4 * MS] {
+        let mut bus = wire(1_500_000, 2);
+        bus.drives.iter_mut().for_each(|drive| drive.axis.divisor = 4);
+        bus.drives[1].min_slave_interval_ns = interval_ns;
+        let tap = TapWire::new(ProfibusSegment::of(&bus));
+        let mut m = Lenze::on(bus, cycle(), tap.wire());
+        m.online();
+        tap.drives[1].lock().requests = Some(Vec::new());
+        for _ in 0..40 {
+            tap.drives[0].lock().lose[1] = 1;
+            m.sim.run(23);
+        }
+        let mut requests = tap.drives[1].lock().requests.take().unwrap();
+        assert!(requests.len() > 200, "{}", requests.len());
+        requests.dedup_by(|one, other| one.1 == other.1);
+        let least = requests.windows(2).map(|two| two[1].0.since(two[0].0)).min().unwrap();
+        let is_kept = least >= 4 * MS;
+        assert_eq!(is_kept, interval_ns > 0, "{interval_ns}: {least}");
+        let missed: Vec<u64> = m.finish().iter().map(|counters| counters.missed).collect();
+        assert_eq!(missed, [0, 0]);
+    }
+}
+
+#[test]
 fn each_rate_carries_a_drive_that_turns() {
     for rate in RATES {
         let mut bus = wire(rate, 1);
         let every = (2 * bus.usual_turn_ns(0)).div_ceil(MS);
         bus.drives[0].axis.divisor = every as u32;
         bus.drives[0].watchdog.timeout_ns = Some(5 * every.max(20) * MS);
-        let mut m = Lenze::new(bus, cycle());
+        // A conformant drive may take MaxTsdr for each answer: 250 bits at 45.45 kbit/s (GSD files).
+        let slow = if rate == 45_450 { Some(250) } else { None };
+        let mut m = Lenze::with(bus, cycle(), |wire| wire.drives[0].link.answer_bits = slow);
         m.ready();
         m.post(0, jog(8.0));
         m.turns(0, 8.0);

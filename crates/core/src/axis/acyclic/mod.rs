@@ -70,7 +70,7 @@ pub enum CallError {
     #[error("the drive refused it with status {0:#04x}")]
     Refused(u32),
     /// The link is not up.
-    #[error("the drive is not online: look at its power, cable and address")]
+    #[error("the drive is not online: `fieldbeat status` and Master::wait_online say why")]
     NotOnline,
     /// It did not end within its time.
     #[error(

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use thiserror::Error;
 
-use super::{Call, CallError, Carrier, PostError, Series};
+use super::{Answer, Call, CallError, Carrier, PostError, Series};
 
 /// The time limit of one parameter access, unless the notation sets another: a drive answers within milliseconds, but a
 /// busy host may hold up every exchange of it.
@@ -50,8 +50,8 @@ pub trait Notation: Debug + Send + Sync {
         self.number(address, written) == self.number(address, read)
     }
 
-    /// Reads `address` if its value may be longer than a raw value: its first eight bytes, and its text. `None`: it is
-    /// no such address.
+    /// Reads `address` if its value may be longer than a raw value, or the drive says what it is: its first eight
+    /// bytes, and its text. `None`: it is no such address.
     fn read_long(&self, _carrier: &dyn Carrier, _address: &str) -> Option<Result<(u64, String), CallError>> {
         None
     }
@@ -243,6 +243,12 @@ impl std::fmt::Debug for Access<'_> {
 impl Access<'_> {
     /// Reads a parameter.
     pub fn read(&self, address: &str) -> Result<u64, ParameterError> {
+        self.answer(address).map(|answer| answer.value)
+    }
+
+    /// Reads a parameter: its value, and the address that has been answered. That may say more of the value than the
+    /// one that was asked.
+    pub fn answer(&self, address: &str) -> Result<Answer, ParameterError> {
         let request = Request::read(self.drive, address);
         let call = self.notation.read(address).map_err(|error| request.wrong(error))?;
         self.carry_out(&request, &[call])
@@ -270,11 +276,11 @@ impl Access<'_> {
     }
 
     /// Carries out calls that belong together; returns what the first one has answered.
-    fn carry_out(&self, request: &Request, calls: &[Call]) -> Result<u64, ParameterError> {
+    fn carry_out(&self, request: &Request, calls: &[Call]) -> Result<Answer, ParameterError> {
         let limit = calls.first().map_or(LIMIT, |call| self.notation.limit(call));
         let Series { answers, failed } = self.carrier.run(calls, limit);
         match (failed, answers.first()) {
-            (None, Some(answer)) => Ok(answer.value),
+            (None, Some(answer)) => Ok(*answer),
             (failed, _) => Err(request.failed(failed.unwrap_or(CallError::Gone), self.notation)),
         }
     }

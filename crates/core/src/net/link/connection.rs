@@ -166,7 +166,8 @@ impl Connection {
                 self.refused(now, no_answer(address, self.peer.connect_ns))
             }
             Phase::Handshake { until, .. } if until <= now => {
-                self.refused(now, no_handshake(address, self.peer.handshake_ns))
+                let why = self.peer.handshake.overdue().map(|why| format!("{address}: {why}"));
+                self.refused(now, why.unwrap_or_else(|| no_handshake(address, self.peer.handshake_ns)))
             }
             _ if self.session_due().is_some_and(|due| due <= now) => self.run(now),
             _ => Action::Wait,

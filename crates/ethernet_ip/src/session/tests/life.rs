@@ -63,7 +63,6 @@ fn a_connection_that_has_timed_out_is_closed_and_opened_anew_after_a_pause() {
     assert_eq!(bench.news(), []);
     bench.wish(Wish::TimedOut { generation: 1 });
     assert_eq!(bench.news(), [News::Closed { generation: 1 }]);
-    bench.says("packets have ended");
     bench.trade(CLOSE, CLOSED);
     assert_eq!(bench.news(), [READ_NOTHING]);
     bench.pass(S - 2 * LOOK_NS);

@@ -73,6 +73,8 @@ fn a_unit_of_the_first_version_is_only_read_and_one_without_profile_code_needs_i
     let (outputs, version) = (Outputs::Heartbeat(2), Version::V1);
     let expected = News::Opened(Connection { outputs, version, ..connection() });
     assert_eq!(bench.news(), [READ_NOTHING, expected]);
+    // It was to be commanded.
+    assert!(bench.session.remarks().get(0).is_some_and(|remark| remark.contains("version v1")));
     for (profile, parts) in [
         ("8E 00 05 00", ["STF05-IP of vendor 60 does not say which assemblies it has (path", "`version`"]),
         ("8E 00 00 00 00 FB", ["too short", ""]),
@@ -85,7 +87,8 @@ fn a_unit_of_the_first_version_is_only_read_and_one_without_profile_code_needs_i
     let mut bench = Bench::of_drive(|drive| drive.version = Some(Version::V2));
     bench.begin();
     bench.trade(IDENTIFY, "81 00 08 00");
-    bench.request(OPEN);
+    bench.trade(OPEN, OPENED);
+    assert_eq!(bench.session.remarks().get(0), None);
 }
 
 #[test]

@@ -72,7 +72,12 @@ fn pkw_takes_the_answer_to_its_own_code_only_and_errors_by_direction() {
         (WRITE, C0039_2, 1_504_000, "80270200 0016F300", "50270200 0016F300", Ok(1_504_000)),
         (WRITE, C0039_2, 9, "80270200 00000009", "70270200 00000002", Err(2)),
         (WRITE, C0039_2, 9, "80270200 00000009", "80270200 00000000", Err(0x0B)),
-        (READ, C0039_2, 0, "60270200 00000000", "40270200 0000FFFF", Ok(0xFFFF)),
+        // A reply of 16 bits is what it says, with the sign of its code; and contradicts an address of 32.
+        (READ, C0039_2, 0, "60270200 00000000", "40270200 0000FFFF", Ok(0xFFFF_FFFF)),
+        (READ, C0061, 0, "103D0000 00000000", "103D0000 0000002B", Ok(43)),
+        (READ, code(61, 0, Kind::U32), 0, "103D0000 00000000", "103D0000 0000002B", Err(0x5000_0742)),
+        (READ, code(61, 0, Kind::I16), 0, "103D0000 00000000", "203D0000 00068FB0", Err(0x5000_0343)),
+        (READ, code(61, 0, Kind::I16), 0, "103D0000 00000000", "103D0000 0000FFFE", Ok(0xFFFE)),
         (WRITE, code(150, 1, Kind::U16), 0x1_0007, "70960100 00000007", "40960100 00000007", Ok(0x1_0007)),
         (WRITE, code(150, 0, Kind::I16), 0xFFFE, "20960000 0000FFFE", "10960000 0000FFFE", Ok(0xFFFE)),
         (READ, code(1999, 0, Kind::Own), 0, "17CF0000 00000000", "77CF0000 00000000", Err(0)),
@@ -154,7 +159,7 @@ impl Drivecom {
 }
 
 #[test]
-fn drivecom_reads_and_writes_whatever_the_length_in_the_reply() {
+fn drivecom_reads_as_the_reply_says_and_writes_whatever_it_says() {
     for bare in [false, true] {
         let mut side = Side::new(ParameterPath::Drivecom);
         let mut drive = Drivecom { bare, ..Drivecom::new([0, 0x06, 0x8F, 0xB0]) };
@@ -168,18 +173,20 @@ fn drivecom_reads_and_writes_whatever_the_length_in_the_reply() {
             assert_eq!(end, Ok(430_000));
             assert!(jobs.iter().any(|job| job[0] & 0xBF == 0x31 && job[1..] == [0, 0x5F, 0xC2, 0, 0, 0, 0]));
         }
-        // The length of the reply says 4: it is that of the code that counts.
+        // The length of the reply to a read is obeyed, if there is one; that to a write means nothing.
         let (read, write) = ([0, 0x06, 0x8F, 0xB0], [0; 4]);
-        for (service, address, raw, value) in [
-            (READ, code(61, 0, Kind::U8), 0, read),
-            (READ, code(61, 0, Kind::U16), 6, read),
-            (READ, code(61, 0, Kind::I32), 0x0006_8FB0, read),
-            (WRITE, code(39, 0, Kind::Own), 1_504_000, write),
-            (WRITE, code(39, 2, Kind::U16), 0xFFFE, write),
+        let or = |raw, refused| if bare { Ok(raw) } else { Err(CallError::Refused(refused)) };
+        for (service, address, raw, value, expected) in [
+            (READ, code(61, 0, Kind::U8), 0, read, or(0, 0x5000_0543)),
+            (READ, code(61, 0, Kind::U16), 6, read, or(6, 0x5000_0643)),
+            (READ, code(61, 0, Kind::I32), 0x0006_8FB0, read, Ok(0x0006_8FB0)),
+            (WRITE, code(39, 0, Kind::Own), 1_504_000, write, Ok(1_504_000)),
+            (WRITE, code(39, 2, Kind::U16), 0xFFFE, write, Ok(0xFFFE)),
         ] {
             drive.value = value;
             let mut ticket = side.post(service, address, raw);
-            assert_eq!(side.by_channel(&mut ticket, |out| Some(drive.exchange(out))), Ok(raw), "{address:X}");
+            let end = side.by_channel(&mut ticket, |out| Some(drive.exchange(out)));
+            assert_eq!(end, expected, "{address:X}");
         }
         assert_eq!(drive.writes.iter().map(|job| job[0] & 0xBF).collect::<Vec<_>>(), [0x32, 0x12]);
         assert_eq!(drive.writes[0][1..], [0, 0x5F, 0xD8, 0, 0x16, 0xF3, 0]);
@@ -189,6 +196,42 @@ fn drivecom_reads_and_writes_whatever_the_length_in_the_reply() {
         let end = side.by_channel(&mut ticket, |out| Some(drive.exchange(out)));
         assert_eq!(end, Err(CallError::Refused(0x0607_0000)));
     }
+}
+
+/// Replies of the 9400 manual and of the EMF2133IB: what the call says of the value behind it.
+#[test]
+fn drivecom_answers_say_what_the_value_is() {
+    for (reply, value, kind) in [
+        ("11005FC2 002B0000", 43, Kind::I16),
+        ("11005FC2 FFFB0000", 0xFFFF_FFFB, Kind::I16),
+        ("01005FC2 2B000000", 43, Kind::I8),
+        ("31005FC2 00068FB0", 430_000, Kind::Own),
+        ("00005FC2 00068FB0", 430_000, Kind::Own),
+    ] {
+        let mut side = Side::new(ParameterPath::Drivecom);
+        side.rest(2, [0; 8]);
+        let mut ticket = side.read(C0061);
+        let end = loop {
+            let Sent::Exchange(out) = side.turn() else { panic!("a channel") };
+            let mut answer = hex(reply);
+            answer[0] |= out[0] & 0x40;
+            side.access.channel_answered(if out[0] & 7 == 0 { &[0; 8] } else { &answer });
+            if let Some(end) = ticket.poll() {
+                break end.unwrap();
+            }
+        };
+        let address = super::super::super::target::learned(C0061, kind);
+        assert_eq!((end.value, end.address), (value, address), "{reply}");
+    }
+    // Three bytes are nothing.
+    let mut side = Side::new(ParameterPath::Drivecom);
+    let mut ticket = side.read(C0061);
+    let end = side.by_channel(&mut ticket, |out| {
+        let mut reply = hex("21005FC2 00002B00");
+        reply[0] |= out[0] & 0x40;
+        Some(if out[0] & 7 == 0 { [out[0], 0, 0, 0, 0, 0, 0, 0] } else { reply })
+    });
+    assert_eq!(end, Err(CallError::Refused(BROKEN)));
 }
 
 #[test]

@@ -185,6 +185,46 @@ fn writes_go_together_unless_the_first_that_fails_has_to_end_the_rest() {
 }
 
 #[test]
+fn the_format_of_a_response_is_obeyed_and_one_that_contradicts_its_address_is_refused_by_name() {
+    for (address, format, bytes, expected) in [
+        (C0061, 0x42, &[0, 0x2B][..], Ok((43, Kind::I16))),
+        (C0061, 0x43, &[0, 6, 0x8F, 0xB0], Ok((430_000, Kind::Own))),
+        (C0061, 0x04, &[0, 6, 0x8F, 0xB0], Ok((430_000, Kind::Own))),
+        (C0061, 0x06, &[0xFF, 0xFE], Ok((0xFFFE, Kind::U16))),
+        (C0061, 0x03, &[0xFF, 0xFE], Ok((0xFFFF_FFFE, Kind::I16))),
+        (C0061, 0x09, b"43", Err(0x5000_0409)),
+        (code(61, 0, Kind::U16), 0x42, &[0xFF, 0xFE], Ok((0xFFFE, Kind::Own))),
+        (code(61, 0, Kind::I32), 0x42, &[0, 0x2B], Err(0x5000_0442)),
+        (code(61, 0, Kind::U16), 0x03, &[0, 0x2B], Err(0x5000_0603)),
+        (code(61, 0, Kind::Text), 0x42, &[0, 0x2B], Err(0x5000_0942)),
+    ] {
+        let (mut side, mut module) = (Side::new(MSAC1), Module::new());
+        let mut ticket = side.read(address);
+        let end = loop {
+            match side.turn() {
+                Sent::Exchange(out) => side.access.channel_answered(&out),
+                Sent::Msac1(data) => {
+                    let reply = match module.exchange(&data) {
+                        Reply::Data(data) if data[0] == 0x5E => {
+                            let count = if format == 9 { bytes.len() as u8 } else { 1 };
+                            let body = [&[data[4], 1, 0, 1, format, count], bytes].concat();
+                            Reply::Data([&[0x5E, 0, 47, body.len() as u8], &body[..]].concat())
+                        }
+                        reply => reply,
+                    };
+                    side.access.answered(side.now, reply.answer());
+                }
+            }
+            if let Some(end) = ticket.poll() {
+                break end.map(|answer| (answer.value, answer.address));
+            }
+        };
+        let learned = |(value, kind)| (value, super::super::super::target::learned(address, kind));
+        assert_eq!(end, expected.map(learned).map_err(CallError::Refused), "{address:X} {format:X}");
+    }
+}
+
+#[test]
 fn a_response_to_another_request_is_not_taken_and_one_that_is_cut_ends_the_call() {
     let (mut side, mut module) = (Side::new(MSAC1), Module::new());
     let mut ticket = side.read(C0061);
@@ -222,7 +262,8 @@ fn a_response_to_another_request_is_not_taken_and_one_that_is_cut_ends_the_call(
                 }
                 Some(reply)
             });
-            assert_eq!(end, Err(CallError::Refused(BROKEN)), "{what}");
+            let status = if service == READ { BROKEN } else { BROKEN_WRITE };
+            assert_eq!(end, Err(CallError::Refused(status)), "{what}");
         }
     }
 }
@@ -339,6 +380,25 @@ fn what_nobody_has_fetched_is_fetched_before_the_next_request() {
         Some(reply)
     });
     assert_eq!(end, Ok(430_000));
+
+    // A response that nobody has read, of a master that is gone: the drive takes no other request before.
+    let stale = vec![0x77, 1, 0, 1, 0x43, 1, 0, 0, 0, 9];
+    for busy in [0, 3] {
+        let (mut side, mut module) = (Side::new(MSAC1), Module { busy, ..Module::new() });
+        let mut unread = Some(stale.clone());
+        let mut ticket = side.write(C0039_2, 9);
+        let end = side.by_msac1(&mut ticket, |data| {
+            Some(match (data, &mut unread) {
+                ([0x5F, ..], Some(_)) => Reply::Data(vec![0xDF, 0x80, 0xB5, 0]),
+                ([0x5E, ..], unread @ Some(_)) => {
+                    let response = unread.take().unwrap();
+                    Reply::Data([&[0x5E, 0, 47, response.len() as u8], &response[..]].concat())
+                }
+                _ => module.exchange(data),
+            })
+        });
+        assert_eq!((end, module.written.len()), (Ok(9), 1));
+    }
 
     // A write that has timed out ends with the drive.
     let (mut side, mut module) = (Side::new(MSAC1), Module { busy: u32::MAX, ..Module::new() });

@@ -91,10 +91,13 @@ fn a_request_into_another_one_finds_no_resource_or_a_busy_drive() {
     assert_eq!(ask(&mut bench, &write), [0xDF, 0x80, 0xC2, 0]);
     assert_eq!(ask(&mut bench, &[0x5E, 0, 47, 240]), [0xDE, 0x80, 0xB5, 0]);
     bench.wait(50 * MS);
+    // Nobody has read the response: no other request takes its place.
+    assert_eq!(ask(&mut bench, &write), [0xDF, 0x80, 0xB5, 0]);
     // Too short for the response, which then still is there.
     assert_eq!(ask(&mut bench, &[0x5E, 0, 47, 9]), [0xDE, 0x80, 0xB1, 0]);
     assert_eq!(ask(&mut bench, &[0x5E, 0, 47, 10])[..4], [0x5E, 0, 47, 10]);
     assert_eq!(ask(&mut bench, &[0x5E, 0, 47, 240]), [0xDE, 0x80, 0xB5, 0], "it is read");
+    assert_eq!(ask(&mut bench, &write), write[..4]);
 }
 
 #[test]

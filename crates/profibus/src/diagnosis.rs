@@ -1,0 +1,57 @@
+//! Why a drive is not online, from what is counted. What it refuses, and that nobody answers at its address, says its
+//! note.
+
+use super::counters::Own;
+use fieldbeat_core::bus::diagnosis::{Row, Symptoms};
+
+/// The most specific symptoms first.
+pub const DIAGNOSIS: [Row; 5] = [
+    Row {
+        symptom: "`late` and `duplicate` are a quarter of `slot_times`",
+        holds: |of| 4 * (of.counters.late + of.counters.duplicate) > own(of, Own::SlotTimes),
+        says: "its answers come after the slot time",
+        remedy: "raise latency, which an adapter on USB or the network needs, or bits.slot",
+    },
+    Row {
+        symptom: "`wrong_check`, `wrong_length`, `wrong_start` and `wrong_end` are more than `slot_times`",
+        holds: |of| damaged(of) > own(of, Own::SlotTimes),
+        says: "its answers arrive damaged",
+        remedy: "look at wiring, termination and shield, at the rate, and whether two drives have its \
+                 address",
+    },
+    Row {
+        symptom: "`wrong_answer` is most of `missed` and more than `slot_times`",
+        holds: |of| {
+            let count = own(of, Own::WrongAnswer);
+            of.mostly(count) && count > own(of, Own::SlotTimes)
+        },
+        says: "it answers with SC, or with another length, in place of its inputs",
+        remedy: "look at configuration, and at the process data that the drive is set to",
+    },
+    Row {
+        symptom: "`wrong_station` is most of `missed` and more than `slot_times`",
+        holds: |of| {
+            let count = own(of, Own::WrongStation);
+            of.mostly(count) && count > own(of, Own::SlotTimes)
+        },
+        says: "another station answers in its place",
+        remedy: "look for two drives with one address, and at bits.max_tsdr",
+    },
+    Row {
+        symptom: "`missed`, after it has answered",
+        holds: |of| of.counters.missed > 0 && !of.never(),
+        says: "its answers have ended",
+        remedy: "look at its power, its cable and terminators",
+    },
+];
+
+fn own(of: &Symptoms<'_>, counter: Own) -> u64 {
+    of.own(counter as usize)
+}
+
+fn damaged(of: &Symptoms<'_>) -> u64 {
+    [Own::WrongCheck, Own::WrongLength, Own::WrongStart, Own::WrongEnd]
+        .map(|counter| own(of, counter))
+        .iter()
+        .sum()
+}
