@@ -163,7 +163,7 @@ impl Exchanged {
         self.machine.propose(self.cycle.grid, &mut self.slot);
         let length = self.station.prepare(&self.cycle, &mut self.slot, &mut self.request);
         let request = black_box(&self.request[..length]);
-        self.station.sent(sent_at, self.cycle.deadline, &mut self.slot);
+        self.station.sent(sent_at, &self.cycle, &mut self.slot);
         commit(&mut self.machine, &mut self.slot);
         let length = paused(|| {
             let request = Request::parse(request).expect("a request");

@@ -1,7 +1,7 @@
 //! A plan in words: what `check` prints.
 
 use fieldbeat_core::axis::{
-    AxisPlan, FollowingError, HeldBy, InPosition, Load, OwnerLost, StopHow, StopThen, StopTimeout,
+    AxisPlan, FollowingError, Health, HeldBy, InPosition, Load, OwnerLost, StopHow, StopThen, StopTimeout,
 };
 use fieldbeat_core::bus::BusPlan;
 use fieldbeat_core::bus::desired::{Capabilities, Generator, Velocities};
@@ -10,7 +10,7 @@ use fieldbeat_core::cycle::record::Record;
 use fieldbeat_core::cycle::{CyclePlan, Guard, Overrun, Plan, Wait};
 
 use fieldbeat_core::rt::{Memory, Realtime};
-use fieldbeat_core::time::{Ns, nanos};
+use fieldbeat_core::time::{Ns, S, nanos};
 
 /// What this plan will do, line by line: the cycle, then each bus and each drive, with the bound of its stop and with
 /// what happens if the master dies. A drive that differs from the one before it only in its first line refers to it.
@@ -55,10 +55,14 @@ pub fn describe(plan: &Plan) -> Vec<String> {
     lines.push(black_box(plan));
     for group in &plan.groups {
         let members = axes.iter().filter(|axis| group.axes.contains(&axis.name));
-        let bucket = members.map(|axis| axis.health.bucket).min().unwrap_or(0);
+        let bucket = members.clone().map(|axis| axis.health.bucket).min().unwrap_or(0);
+        let out = match members.map(|axis| axis.health.leak).max().unwrap_or(0) {
+            1 => "each good one takes one out".to_owned(),
+            leak => format!("{leak} good ones in a row take one out"),
+        };
         lines.push(format!(
-            "group {}: {} act in the same cycle, all or none; {bucket} rounds with a missed exchange of any \
-             of them stop the group in motion",
+            "group {}: {} act in the same cycle, all or none; in motion each round with a missed exchange of any of \
+             them puts one into a bucket, {out}, and at {bucket} the group stops",
             group.name,
             group.axes.join(", "),
         ));
@@ -177,7 +181,9 @@ fn frequency(period_ns: u64) -> String {
 /// What every protocol's axis has: schedule, link, stop, limits.
 fn axis(drive: &Paced<'_>, can: &Capabilities, all: &[Paced<'_>], cycle: &CyclePlan) -> Vec<String> {
     let (axis, period_ns) = (drive.axis, cycle.period_ns);
-    let mut lines = vec![schedule(drive, period_ns), link(drive, all, cycle), stop(axis)];
+    let mut lines = vec![schedule(drive, period_ns)];
+    lines.extend(bucket(&axis.health, period_ns.saturating_mul(axis.divisor.into())));
+    lines.extend([link(drive, all, cycle), stop(axis)]);
     lines.extend(load(axis));
     lines.push(setpoints(axis, period_ns));
     lines.extend(owner(axis));
@@ -261,7 +267,7 @@ fn schedule(drive: &Paced<'_>, period_ns: u64) -> String {
     let cycles =
         |cycles| format!("{} ({})", count(cycles, "cycle"), Ns(period_ns.saturating_mul(cycles as u64)));
     match drive.pace {
-        Pace::Cycle | Pace::Connection(_) => every,
+        Pace::Cycle(_) | Pace::Connection(_) => every,
         Pace::HalfDuplex(_, 0) => format!("{every}, over in the cycle in which it is due"),
         Pace::HalfDuplex(_, late) => {
             format!("{every}, over {} later at most: its turn on the wire", cycles(late as usize))
@@ -285,14 +291,57 @@ fn link(drive: &Paced<'_>, all: &[Paced<'_>], cycle: &CyclePlan) -> String {
     };
     let taken = if let Pace::Connection(_) = drive.pace { ", if it still answers" } else { "" };
     format!(
-        "link up after {} good exchanges in a row, lost after {} misses in a row: the stop request is on the \
-         wire within {cycles} cycles ({}) of the last good one{taken}; with slots skipped lost after {} at \
-         the latest{together}",
-        health.gate,
-        health.bucket,
+        "{}: the stop request is on the wire within {cycles} cycles ({}) of the last good exchange{taken}; with slots \
+         skipped lost after {} at the latest{together}",
+        in_a_row(health.bucket),
         Ns(cycles.saturating_mul(cycle.period_ns)),
         Ns(silent.saturating_mul(cycle.period_ns)),
     )
+}
+
+fn in_a_row(misses: u32) -> String {
+    match misses {
+        1 => "a single miss loses the link".into(),
+        misses => format!("{misses} misses in a row lose the link"),
+    }
+}
+
+/// The rule of a link with an exchange every `every_ns`, and what follows from it.
+fn bucket(health: &Health, every_ns: u64) -> [String; 2] {
+    let out = match health.leak {
+        1 => "each good exchange takes one out".to_owned(),
+        leak => format!("{leak} good exchanges in a row take one out"),
+    };
+    let one_in = health.tolerates_one_in();
+    let random = health.exchanges_to_loss(RANDOM_LOSS);
+    let exchanges = if random < 1e15 { format!("{:.0}", rounded(random)) } else { "10^15 or more".into() };
+    let rule = format!(
+        "link up after {} good exchanges in a row; each miss puts one into a bucket, {out}, and at {} the link is lost",
+        health.gate, health.bucket,
+    );
+    let follows = format!(
+        "one miss in {one_in} exchanges, evenly spread, never loses it; twice as many do within {} exchanges \
+         ({}); with {} % missed at random it lasts for {exchanges} exchanges on average ({})",
+        health.lost_at_twice_that(),
+        Ns(health.lost_at_twice_that().saturating_mul(every_ns)),
+        100.0 * RANDOM_LOSS,
+        long(random * every_ns as f64 / S as f64),
+    );
+    [rule, follows]
+}
+
+/// The share of exchanges that a bad network loses at random.
+const RANDOM_LOSS: f64 = 0.01;
+
+/// A long time in a unit that fits.
+fn long(seconds: f64) -> String {
+    const UNITS: [(f64, &str); 4] =
+        [(365.25 * 86_400.0, "years"), (86_400.0, "days"), (3_600.0, "h"), (60.0, "min")];
+    match UNITS.iter().find(|(unit, _)| seconds >= 2.0 * unit) {
+        Some((unit, _)) if seconds > 1e4 * unit => "more than 10000 years".into(),
+        Some((unit, name)) => format!("{} {name}", rounded(seconds / unit)),
+        None => format!("{} s", rounded(seconds)),
+    }
 }
 
 fn stop(axis: &AxisPlan) -> String {
@@ -397,7 +446,7 @@ mod tests {
         (axis.divisor, axis.phase) = (10, 3);
         let says = |pace| schedule(&Paced { axis: &axis, pace, before_stop: 0 }, MS);
         let every = "an exchange every 10 cycles (10 ms), phase 3";
-        assert_eq!(says(Pace::Cycle), every);
+        assert_eq!(says(Pace::Cycle(1)), every);
         assert_eq!(says(Pace::Connection(20)), every);
         let own_clock = ", whatever its link; a packet of its own clock counts for 30 cycles (30 ms)";
         assert_eq!(says(Pace::OwnClock(30)), format!("{every}{own_clock}"));

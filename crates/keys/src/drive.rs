@@ -239,10 +239,19 @@ fn health(table: &mut Table<'_>, exchange_ns: u64) -> Health {
     let default = Health::default();
     table.table("health", |table| Health {
         bucket: table
-            .count("bucket", 1..=10_000, exchange_ns, "the misses in a row after which the link is lost")
+            .count(
+                "bucket",
+                1..=10_000,
+                exchange_ns,
+                "the misses that fill the bucket: then the link is lost",
+            )
             .unwrap_or(default.bucket),
         leak: table
-            .integer("leak", 1..=1_000_000, "the good exchanges in a row that outweigh one miss")
+            .integer(
+                "leak",
+                1..=1_000_000,
+                "the good exchanges in a row that take one miss out of the bucket",
+            )
             .unwrap_or(default.leak),
         gate: table
             .integer("gate", 1..=1_000_000, "the good exchanges in a row after which the link is up")

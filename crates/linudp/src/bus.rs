@@ -4,6 +4,7 @@ use std::net::{Ipv4Addr, SocketAddrV4};
 use std::os::fd::RawFd;
 use std::sync::Arc;
 
+use super::counters::OWN;
 use super::diagnosis::DIAGNOSIS;
 use super::fields::layout;
 use super::last::LastStop;
@@ -19,7 +20,9 @@ use fieldbeat_core::bus::desired::Capabilities;
 use fieldbeat_core::bus::diagnosis::Row;
 use fieldbeat_core::bus::native::{NativeBytes, NativeLayout, WantedOutputs};
 use fieldbeat_core::bus::variant::Variant;
-use fieldbeat_core::bus::{Bus, BusPlan, Cycle, Ends, LastResort, Notes, OpenError, Slot, Unmatched, drives};
+use fieldbeat_core::bus::{
+    Bus, BusPlan, Cycle, Ends, Exchange, LastResort, Notes, OpenError, OwnCounter, Slot, Unmatched, drives,
+};
 use fieldbeat_core::errors::no_descriptor;
 use fieldbeat_core::net::{Carriers, Datagrams, Lock, Outbox, Sent, UdpOptions};
 use fieldbeat_core::rt::Regions;
@@ -43,6 +46,10 @@ pub struct LinUdpBus {
     ends: Ends,
     notes: Arc<SerialNotes>,
     unmatched: Unmatched,
+    /// Exchanges of earlier cycles may be owed.
+    has_earlier: bool,
+    /// The orderly end has begun: no more requests.
+    is_ending: bool,
     /// Until it is taken.
     last: Option<LastStop>,
     /// The drives are this master's until the socket is closed.
@@ -94,6 +101,8 @@ impl LinUdpBus {
             ends,
             notes: Arc::new(notes),
             unmatched: Unmatched::default(),
+            has_earlier: false,
+            is_ending: false,
             last,
             _locks: locks,
         })
@@ -221,13 +230,19 @@ impl Bus for LinUdpBus {
         // A system call in each cycle, although usually nothing waits: a copy of an old reply that has come since the
         // last window would pass for the next reply, if the definitions of both are the same.
         self.take_in(false, slots);
-        for (index, slot) in slots.iter().enumerate() {
-            self.outbox.post(index, slot.due);
+        let mut has_earlier = false;
+        for (index, (station, slot)) in self.stations.iter_mut().zip(slots.iter_mut()).enumerate() {
+            self.outbox.post(index, slot.due && !self.is_ending);
+            if matches!(slot.exchange, Exchange::Owed { .. }) {
+                station.owe(slot);
+            }
+            has_earlier |= slot.has_earlier;
         }
+        self.has_earlier = has_earlier;
         self.net.send(&mut self.outbox);
         for (index, (station, slot)) in self.stations.iter_mut().zip(slots).enumerate() {
             match self.outbox.sent(index) {
-                Sent::At(at) => station.sent(at, cycle.deadline, slot),
+                Sent::At(at) => station.sent(at, cycle, slot),
                 Sent::Failed(_) | Sent::Posted => station.unsent(slot),
                 Sent::Idle => {}
             }
@@ -238,9 +253,17 @@ impl Bus for LinUdpBus {
         self.take_in(true, slots);
     }
 
+    fn waited_for(&self, cycle: &Cycle, slots: &[Slot]) -> usize {
+        let waited_for = slots.iter().filter(|slot| slot.exchange.is_waited_for(cycle)).count();
+        match self.has_earlier {
+            false => waited_for,
+            true => waited_for + slots.iter().map(|slot| slot.earlier.waited_for(cycle)).sum::<usize>(),
+        }
+    }
+
     fn prepare(&mut self, cycle: &Cycle, slots: &mut [Slot]) {
         for (index, (station, slot)) in self.stations.iter_mut().zip(slots).enumerate() {
-            if slot.due {
+            if slot.due && !self.is_ending {
                 let length = station.prepare(cycle, slot, self.outbox.room(index));
                 self.outbox.set_length(index, length);
             }
@@ -263,9 +286,12 @@ impl Bus for LinUdpBus {
         self.last.take().map(|last| Box::new(last) as Box<dyn LastResort>)
     }
 
-    fn shut_down(&mut self, _cycle: &Cycle, _slots: &mut [Slot]) -> bool {
-        // The drives keep no connection: once the axes are down, nothing more has to be sent.
-        true
+    fn shut_down(&mut self, _cycle: &Cycle, slots: &mut [Slot]) -> bool {
+        // The drives keep no connection: once the axes are down, nothing more has to be sent, but what is owed has its
+        // time.
+        self.is_ending = true;
+        slots.iter_mut().for_each(|slot| slot.expected_silence = true);
+        !slots.iter().any(|slot| slot.has_earlier || matches!(slot.exchange, Exchange::Owed { .. }))
     }
 
     fn unmatched(&self) -> Unmatched {
@@ -300,6 +326,14 @@ impl BusPlan for LinUdpPlan {
             |one, other| one.address.ip() == other.address.ip();
         let taken = "is taken by another drive; one drive per IP address";
         drives::faults(&self.drives, period_ns, |drive| &drive.axis, LinUdpDrive::faults, same, taken)
+    }
+
+    fn reply_within(&self, index: usize) -> u32 {
+        self.drives.get(index).map_or(1, LinUdpDrive::replies_within)
+    }
+
+    fn own_counters(&self) -> &'static [OwnCounter] {
+        &OWN
     }
 
     fn describe(&self, period_ns: u64) -> Vec<String> {

@@ -33,6 +33,8 @@ pub(super) struct MotionChannel {
     /// Clean replies without it since it was sent with this count.
     answers: u32,
     counts_used: u32,
+    /// A reply to a request without the command had its count: the drive has stored that before, and would ignore it.
+    clashes: bool,
 }
 
 impl MotionChannel {
@@ -64,6 +66,19 @@ impl MotionChannel {
         self.sent = self.command.is_some();
     }
 
+    /// The count of the command in the last request that went out, if it had one.
+    pub(super) fn sent_count(&self) -> Option<u8> {
+        self.count.filter(|_| self.sent)
+    }
+
+    /// Before the next request is built: a count that the drive has stored is replaced.
+    pub(super) fn avoid_clash(&mut self) {
+        if std::mem::take(&mut self.clashes) {
+            let next = self.next_count().count;
+            (self.count, self.sent, self.echoes, self.answers) = (next, false, 0, 0);
+        }
+    }
+
     /// No command is under way: there is none, or the drive has it.
     pub(super) fn is_free(&self) -> bool {
         self.command.is_none() || self.is_accepted()
@@ -91,7 +106,7 @@ impl MotionChannel {
             if self.count == Some(echo) {
                 self.count = self.next_count().count;
             }
-        } else if self.pending && clean && self.count == Some(echo) {
+        } else if self.pending && clean && self.count == Some(echo) && !self.clashes {
             (self.echoes, self.answers) = (self.echoes.saturating_add(1), 0);
         } else if self.pending && clean {
             self.answers += 1;
@@ -108,6 +123,23 @@ impl MotionChannel {
                 self.counts_used = counts_used;
             }
         }
+        Ok(())
+    }
+
+    /// The same of a reply to a request that carried the command with this count, while newer ones are on their way or
+    /// built.
+    pub(super) fn take_earlier(
+        &mut self,
+        echo: u8,
+        carried: Option<u8>,
+        clean: bool,
+        foreign: bool,
+    ) -> Result<(), Failure> {
+        if self.command.is_none() || self.sent && carried == self.count {
+            return self.take(echo, clean, foreign);
+        }
+        self.reported = Some(echo);
+        self.clashes |= self.count == Some(echo) && !self.is_accepted();
         Ok(())
     }
 

@@ -19,7 +19,7 @@ use super::plan::{
 use super::upid::{KNOWN, Upid};
 use fieldbeat_core::axis::Unit;
 use fieldbeat_core::axis::feedback::MONITOR_CHANNELS;
-use fieldbeat_core::bus::BusPlan;
+use fieldbeat_core::bus::{BusPlan, MOST_EARLIER};
 use fieldbeat_core::net::SendMode;
 use fieldbeat_core::time::S;
 use fieldbeat_keys::bus::{NOWHERE, drives, reachable};
@@ -84,12 +84,16 @@ fn drive(table: &mut Table<'_>, machine: &mut Machine, bind: Option<SocketAddrV4
         stream: stream(table, period_ns),
         monitor: monitor(table).unwrap_or_default(),
         reply_tag: table.word("reply_tag", &ReplyTag::WORDS).unwrap_or_default(),
+        reply_within: reply_within(table, machine.period_ns),
         inhibit_after: table
             .time("inhibit_after", ..=60 * S, "how long the hardware enable (STO) has to be missing")
             .map_or(LinUdpDrive::INHIBIT_AFTER, Duration::from_nanos),
         leash: leash(table),
         axis,
     };
+    // What says the same as a file without it is no other plan.
+    let drive =
+        LinUdpDrive { reply_within: drive.reply_within.filter(|within| !drive.is_usual(*within)), ..drive };
     table.later("simulate");
     for fault in drive.faults(period_ns) {
         table.fault(fault.key, fault.message);
@@ -153,6 +157,12 @@ fn monitor(table: &mut Table<'_>) -> Option<MonitorPlan> {
         }
         Ok(MonitorPlan::Sources(sources))
     })
+}
+
+/// For how many cycles a reply counts; `None`: as usual with this tag.
+fn reply_within(table: &mut Table<'_>, period_ns: u64) -> Option<u32> {
+    let hint = "for how many cycles a reply counts, 2 is that of its request and the next one";
+    table.count("reply_within", 1..=MOST_EARLIER as i128 + 1, period_ns, hint)
 }
 
 fn leash(table: &mut Table<'_>) -> Option<f64> {

@@ -13,6 +13,7 @@
 //! | `rtc` | the real-time-config channel: one acyclic call after the other, in the requests that go out anyway |
 //! | `service` | what a drive offers besides its parameters: curves, command table, error log, software, flash |
 //! | `upid`, `notation` | parameters by number and name; how people write and list them |
+//! | `counters` | what only this protocol counts |
 //! | `native`, `fields` | unscaled process data for the application, and as a recording shows them |
 //! | `bus` | all drives on one socket |
 //! | `diagnosis` | why a drive is not online |
@@ -29,6 +30,7 @@ pub mod bus;
 mod channel;
 #[cfg(feature = "config")]
 pub mod config;
+mod counters;
 pub mod curve;
 pub mod diagnosis;
 mod fields;

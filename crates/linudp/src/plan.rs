@@ -6,6 +6,7 @@ use std::time::Duration;
 use super::motion::StreamCommand;
 use super::upid::Upid;
 use fieldbeat_core::axis::{AxisPlan, MonitorChannel, PlanFault, Units};
+use fieldbeat_core::bus::MOST_EARLIER;
 use fieldbeat_core::bus::variant::{self, Variant};
 use fieldbeat_core::net::SendMode;
 use fieldbeat_core::time::{Ns, nanos};
@@ -46,6 +47,9 @@ pub struct LinUdpDrive {
     pub monitor: MonitorPlan,
     /// By what a reply shows which request it answers.
     pub reply_tag: ReplyTag,
+    /// For how many cycles a reply counts, that of its request included, while requests go on; `None`: for two if
+    /// replies have a tag, else for one.
+    pub reply_within: Option<u32>,
     /// How long the drive has to report that its power stage may not come on, although the master allows it, until its
     /// hardware enable (STO) counts as missing: its status may be some milliseconds older than the control word.
     pub inhibit_after: Duration,
@@ -81,6 +85,28 @@ impl LinUdpPlan {
 }
 
 impl LinUdpDrive {
+    /// The usual cycles in which a reply counts that has a tag.
+    const REPLY_WITHIN: u32 = 2;
+
+    /// For how many cycles a reply counts.
+    pub fn replies_within(&self) -> u32 {
+        self.reply_within.unwrap_or(LinUdpDrive::REPLY_WITHIN).clamp(1, self.most_replies_within())
+    }
+
+    /// So many cycles are what counts without a word of it.
+    pub(super) fn is_usual(&self, within: u32) -> bool {
+        within == LinUdpDrive { reply_within: None, ..self.clone() }.replies_within()
+    }
+
+    /// The most cycles in which no two open exchanges look alike, and one that is over looks like none of them.
+    fn most_replies_within(&self) -> u32 {
+        match (self.reply_tag, self.monitor) {
+            (ReplyTag::Off, _) => 1,
+            (ReplyTag::Definition, MonitorPlan::AsSet | MonitorPlan::Sources(_)) => 3,
+            (ReplyTag::Definition, MonitorPlan::Off) | (ReplyTag::Count, _) => MOST_EARLIER as u32 + 1,
+        }
+    }
+
     /// The usual `inhibit_after`: a status is up to 2 ms old (sheet, 3.5).
     pub const INHIBIT_AFTER: Duration = Duration::from_millis(10);
 
@@ -93,6 +119,7 @@ impl LinUdpDrive {
             stream: Some(StreamCommand::Pva),
             monitor: MonitorPlan::Off,
             reply_tag: ReplyTag::default(),
+            reply_within: None,
             inhibit_after: LinUdpDrive::INHIBIT_AFTER,
             leash: None,
         }
@@ -181,6 +208,16 @@ impl LinUdpDrive {
         faults.extend(self.stream.and_then(|command| self.stream_fault(command, period_ns)));
         if let Some(name) = self.monitor.shown_twice() {
             faults.push(PlanFault::new("monitor", format!("has {name} twice; list each variable once")));
+        }
+        let most = self.most_replies_within();
+        if self.reply_within.is_some_and(|within| !(1..=most).contains(&within)) {
+            let range = if most == 1 { "1".to_owned() } else { format!("1 ... {most}") };
+            let tag = match (self.reply_tag, self.monitor) {
+                (ReplyTag::Off, _) => "replies have no tag (reply_tag = \"off\")",
+                (_, MonitorPlan::Off) | (ReplyTag::Count, _) => "later replies could look like newer ones",
+                _ => "with monitor only four replies in a row differ, unless reply_tag = \"count\"",
+            };
+            faults.push(PlanFault::new("reply_within", format!("must be {range}: {tag}")));
         }
         if self.axis.limits.torque.is_some() {
             let why = "has no effect: a LinUDP drive takes no torque setpoints; leave it out";
@@ -304,6 +341,16 @@ impl LinUdpDrive {
                 ));
             }
         }
+        lines.push(match self.replies_within() {
+            1 => "a reply counts in the cycle of its request only".to_owned(),
+            within => format!(
+                "a reply counts in the cycle of its request and in the next {}",
+                match within {
+                    2 => "one".to_owned(),
+                    _ => (within - 1).to_string(),
+                }
+            ),
+        });
         lines.push(format!(
             "a late reply is recognised by {}; a hardware enable (STO) counts as missing after {}",
             match (self.reply_tag, self.monitor) {

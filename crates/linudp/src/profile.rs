@@ -91,6 +91,17 @@ impl Serials {
     }
 }
 
+/// What a request carried that is answered after newer ones have left.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Carried {
+    serials: Serials,
+    /// The count of its motion command.
+    count: Option<u8>,
+    /// Its control word, and that of the request before.
+    control: Option<ControlWord>,
+    control_before: Option<ControlWord>,
+}
+
 /// The profile of one drive. What each exchange touches comes first.
 #[derive(Debug)]
 #[repr(C)]
@@ -110,6 +121,8 @@ pub(super) struct Profile {
     /// The control words of the last request that went out, and of the one before.
     control_sent: Option<ControlWord>,
     control_before: Option<ControlWord>,
+    /// The count of the motion command of the last request that went out, as long as something is not proved.
+    count_sent: Option<u8>,
     channel: MotionChannel,
     voltage: Voltage,
     /// None of the counts was taken, or the drive must not have this command.
@@ -184,6 +197,7 @@ impl Profile {
             control: None,
             control_sent: None,
             control_before: None,
+            count_sent: None,
             channel: MotionChannel::default(),
             is_command: false,
             refused: None,
@@ -242,6 +256,7 @@ impl Profile {
             Motion::Native(owner) => Some(owner),
             _ => None,
         };
+        self.channel.avoid_clash();
         self.is_native = owner.is_some();
         native.runs(self.is_native);
         if let Some(owner) = owner {
@@ -296,6 +311,13 @@ impl Profile {
         }
         self.native = None;
         self.channel.sent();
+        self.count_sent = self.channel.sent_count();
+    }
+
+    /// What the last request that went out carried.
+    pub(super) fn carried(&self) -> Carried {
+        let Profile { sent: serials, count_sent: count, control_sent: control, control_before, .. } = *self;
+        Carried { serials, count, control, control_before }
     }
 
     /// The drive came back from a restart: earlier commands are lost. Its count starts anew, and is reported before the
@@ -330,6 +352,42 @@ impl Profile {
             // Somebody else's command has run since.
             evidence.accepted.motion = evidence.accepted.motion.min(self.sent.motion.saturating_sub(1));
         }
+        self.report(inputs, evidence);
+        self.steady &= self.channel.is_settled();
+    }
+
+    /// The same of a reply to a request that carried this: newer ones have left, or the next one is built.
+    pub(super) fn take_earlier(
+        &mut self,
+        inputs: &Inputs,
+        carried: &Carried,
+        clean: bool,
+        evidence: &mut Evidence,
+    ) {
+        let Carried { serials, count, .. } = *carried;
+        self.steady = false;
+        if let Some(echo) = inputs.state.count() {
+            if clean && serials.row != 0 && count == Some(echo) {
+                evidence.accepted.row = evidence.accepted.row.max(serials.row);
+            }
+            if self.channel.take_earlier(echo, count, clean, inputs.foreign).is_err() {
+                self.refused = Some(Refused::NotTaken);
+            }
+        }
+        if clean {
+            evidence.accepted.power = evidence.accepted.power.max(serials.power);
+        }
+        if clean && [serials.motion, self.prepared.motion] == [self.sent.motion; 2] {
+            evidence.accepted.motion = match !self.is_command || self.channel.is_accepted() {
+                true => serials.motion,
+                false => evidence.accepted.motion.min(serials.motion.saturating_sub(1)),
+            };
+        }
+        self.report(inputs, evidence);
+    }
+
+    /// What the states report.
+    fn report(&self, inputs: &Inputs, evidence: &mut Evidence) {
         evidence.refused = self.refused;
         evidence.stays_on = inputs.status.has(StatusWord::SWITCH_ON_ACTIVE);
         let operates = inputs.state.main() == MainState::OPERATION_ENABLED;
@@ -338,7 +396,6 @@ impl Profile {
         if !operates {
             Self::prove_state(inputs, evidence);
         }
-        self.steady &= self.channel.is_settled();
     }
 
     /// In any other state than operation.
@@ -418,13 +475,14 @@ impl Profile {
     ///
     /// The status may be older than the control word (sheet, 3.5): a bit that was not there before has time to come.
     /// One that was there and goes is no such lag, since the control word has not changed.
-    pub(super) fn inhibited(&mut self, at: Time, inputs: &Inputs) -> bool {
+    ///
+    /// The reply is that to the last request, or to one that `carried` this.
+    pub(super) fn inhibited(&mut self, at: Time, inputs: &Inputs, carried: Option<Carried>) -> bool {
+        let Carried { control, control_before, .. } = carried.unwrap_or_else(|| self.carried());
         let allowed =
             |word: Option<ControlWord>| word.is_some_and(|word| word.has(ControlWord::VOLTAGE_ENABLE));
         self.voltage = match self.voltage {
-            _ if inputs.booting || !allowed(self.control_sent) || !allowed(self.control_before) => {
-                Voltage::Unknown
-            }
+            _ if inputs.booting || !allowed(control) || !allowed(control_before) => Voltage::Unknown,
             _ if inputs.status.has(StatusWord::VOLTAGE_ENABLE) => Voltage::Present,
             Voltage::Unknown => Voltage::Missing { since: at, lost: false },
             Voltage::Present => Voltage::Missing { since: at, lost: true },

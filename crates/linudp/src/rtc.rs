@@ -53,8 +53,10 @@ pub(super) struct RtcChannel {
     /// Since the count of the block was chosen: the instant, and how many clean replies did not echo it.
     counted: Time,
     unechoed: u32,
-    /// The last request was answered by a reply that can be no older one.
-    answered: bool,
+    /// Requests since the last one that was answered by a reply that can be no older one. A drive is silent after
+    /// `within` of them: so long a reply counts.
+    unanswered: u8,
+    within: u8,
     /// A call of the station's own failed: one of the application goes first.
     turn: bool,
     /// When the prepared request was built.
@@ -166,8 +168,8 @@ fn repeats_index(command: RtcCommand) -> bool {
 }
 
 impl RtcChannel {
-    /// The channel behind `port`, which has the drive monitor `sources`.
-    pub(super) fn new(port: Port, sources: [Option<Upid>; 4]) -> RtcChannel {
+    /// The channel behind `port`, which has the drive monitor `sources` and answer `within` so many cycles.
+    pub(super) fn new(port: Port, sources: [Option<Upid>; 4], within: u8) -> RtcChannel {
         RtcChannel {
             port,
             sent: 0,
@@ -177,7 +179,8 @@ impl RtcChannel {
             active: None,
             counted: Time(0),
             unechoed: 0,
-            answered: true,
+            unanswered: 0,
+            within,
             turn: false,
             now: Time(0),
             software_stopped: false,
@@ -227,7 +230,7 @@ impl RtcChannel {
             active.silence = match active.silence {
                 Silence::Long => Silence::Long,
                 _ if down => Silence::Long,
-                _ if self.answered => Silence::None,
+                _ if self.unanswered < self.within => Silence::None,
                 _ => Silence::Short,
             };
         }
@@ -258,7 +261,7 @@ impl RtcChannel {
             }
         }
         // Nothing is sent into a silence.
-        let settles = self.unsettled && link == Link::Online && self.answered;
+        let settles = self.unsettled && link == Link::Online && self.unanswered < self.within;
         self.prepared = if settles || self.active.is_some() { self.block(now) } else { None };
         self.prepared
     }
@@ -354,7 +357,7 @@ impl RtcChannel {
 
     /// The prepared request has gone out.
     pub(super) fn sent(&mut self) {
-        self.answered = false;
+        self.unanswered = self.unanswered.saturating_add(1);
         let Some(block) = self.prepared else { return };
         self.sent = block.count();
         if let Some(active) = &mut self.active
@@ -370,9 +373,9 @@ impl RtcChannel {
         }
     }
 
-    /// Takes the block of a reply that can be no older one.
-    pub(super) fn take(&mut self, block: RtcBlock) {
-        self.answered = true;
+    /// Takes the block of a reply that can be no older one; `is_earlier`: to a request of an earlier cycle.
+    pub(super) fn take(&mut self, block: RtcBlock, is_earlier: bool) {
+        self.take_none(is_earlier);
         let echo = block.count();
         let Some(active) = self.active.filter(|_| self.stored.is_some()) else {
             // Only the count of a later command shows that an earlier one is over.
@@ -409,8 +412,9 @@ impl RtcChannel {
     }
 
     /// A reply that can be no older one, to a request without a block.
-    pub(super) fn take_none(&mut self) {
-        self.answered = true;
+    pub(super) fn take_none(&mut self, is_earlier: bool) {
+        // The newest may have left already.
+        self.unanswered = self.unanswered.min(is_earlier.into());
     }
 
     /// Ends the call under way.

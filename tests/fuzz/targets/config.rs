@@ -56,7 +56,7 @@ fn verdict(text: &str, result: Result<Configuration, ConfigErrors>) {
             let said = describe(plan);
             assert!(said.iter().all(|line| is_plain(line)), "{said:#?}");
             let axes = plan.axes();
-            assert!(axes.iter().all(|axis| stop_bound_cycles(axis, &axes) > 0));
+            assert!(axes.iter().all(|axis| stop_bound_cycles(axis, &axes, 2) > 0));
             run(configuration);
         }
     }
@@ -397,6 +397,7 @@ const KEYS: &[(&str, &str, &[&str])] = &[
         &["\"p\"", "\"pv\"", "\"p-configured\"", "\"pv-configured\"", "\"pva\"", "\"pva-configured\"", "\"off\""],
     ),
     (DRIVE, "monitor", &["true", "false"]),
+    (DRIVE, "reply_within", &["1", "2", "3", "\"2ms\""]),
     (DRIVE, "reply_tag", &["\"definition\"", "\"count\"", "\"off\""]),
     (DRIVE, "no_drive_watchdog", &["\"accept\"", "\"refuse\""]),
     (DRIVE, "leash", &["20", "1e-300", "1e300"]),

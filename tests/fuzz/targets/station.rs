@@ -75,6 +75,8 @@ impl Rig {
             (false, true) => ReplyTag::Off,
         };
         drive.monitor = if has(1) { MonitorPlan::AsSet } else { MonitorPlan::Off };
+        // What counts in later cycles is looked at in whole machines.
+        drive.reply_within = Some(1);
         drive.leash = has(2).then_some(20.0);
         drive.stream = input.of(&[Some(StreamCommand::Pva), Some(StreamCommand::P), None]);
         let inverted = if has(3) { -1.0 } else { 1.0 };
@@ -180,7 +182,7 @@ impl Rig {
     fn exchange(&mut self, replies: impl FnOnce(&mut Rig)) {
         self.prepare();
         let sent_at = self.now;
-        self.station.sent(sent_at, sent_at + PERIOD_NS / 2, &mut self.slot);
+        self.station.sent(sent_at, &self.cycle(), &mut self.slot);
         self.machine.commit(&mut self.slot);
         self.before.counters.sent += 1;
         let request = Request::parse(&self.request[..self.length]).unwrap();
@@ -206,13 +208,13 @@ impl Rig {
         self.drive.reply_tag == ReplyTag::Count
     }
 
+    fn cycle(&self) -> Cycle {
+        let deadline = self.now + PERIOD_NS / 2;
+        Cycle { index: self.index, grid: self.now, period_ns: PERIOD_NS, deadline }
+    }
+
     fn prepare(&mut self) {
-        let cycle = Cycle {
-            index: self.index,
-            grid: self.now,
-            period_ns: PERIOD_NS,
-            deadline: self.now + PERIOD_NS / 2,
-        };
+        let cycle = self.cycle();
         self.machine.propose(self.now, &mut self.slot);
         let length = self.station.prepare(&cycle, &mut self.slot, &mut self.request);
         let first = self.request;

@@ -458,6 +458,20 @@ fn the_samples_tell_the_truth() {
     }
 }
 
+#[test]
+fn a_sample_with_the_keys_of_the_rules_before_has_the_links_of_before() {
+    let sample = include_str!("../../rt-config/linmot.toml");
+    let before = sample
+        .replace("# health.leak = 1\n", "health.leak = 20\n")
+        .replace("# reply_within = 2\n", "reply_within = 1\n");
+    for (text, leak, within, bound) in [(sample, 1, 2, 7), (&before, 20, 1, 6)] {
+        let plan = read(text);
+        let (bus, axes) = (&plan.buses[0], plan.axes());
+        assert_eq!((axes[0].health, bus.reply_within(0)), (Health { leak, ..Health::default() }, within));
+        assert_eq!(stop_bound(&plan, 0), bound);
+    }
+}
+
 /// The keys that are said to be valid in the section of a mistaken one.
 fn keys(text: &str) -> Vec<String> {
     let error = mistakes(text).concat();

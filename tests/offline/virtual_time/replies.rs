@@ -1,9 +1,9 @@
 //! Which reply answers which request: late, doubled, foreign and broken ones are counted and never matched. What holds
 //! for every bus stands in `conformance/replies`; here is what the loop makes of it, and what only LinUDP has.
 
-use fieldbeat::axis::Target;
+use fieldbeat::axis::{Command, Row, StopCause, Target};
 use fieldbeat::bus::linudp::{MonitorPlan, ReplyTag, StatusWord};
-use fieldbeat::sim::WorldOptions;
+use fieldbeat::sim::{FaultPlan, WorldOptions};
 use fieldbeat::telemetry::{Counters, Numbers, Unmatched};
 use fieldbeat::time::{MS, US};
 use fieldbeat_linudp::wire::{Request, Response, ResponseDef};
@@ -70,8 +70,10 @@ fn with_definitions_in_turn_a_reply_is_suspect_only_after_as_many_misses() {
 fn a_burst_of_all_late_replies_at_once_is_never_taken_for_the_newest() {
     // A drive that did not come to answer for so many cycles, and then answers everything that waited: in the window of
     // the newest request, in order.
-    for late in 1..20 {
-        let mut b = moving(Rig::new(1).each(|_, drive| drive.axis.health.bucket = 10_000));
+    for (late, within) in (1..20).flat_map(|late| [(late, 1), (late, 2)]) {
+        let mut b = moving(Rig::new(1).each(|_, drive| {
+            (drive.axis.health.bucket, drive.reply_within) = (10_000, Some(within));
+        }));
         b.tape(0).mute = true;
         b.tape(0).received.clear();
         b.run(late);
@@ -91,8 +93,84 @@ fn a_burst_of_all_late_replies_at_once_is_never_taken_for_the_newest() {
             }
         }
         let c = counters(b);
-        assert_eq!((c.missed, c.late, c.duplicate), (late, late, 0), "{late}: {c:?}");
+        // The reply of the cycle before answers its request, if it counts so long.
+        let behind = u64::from(within) - 1;
+        assert_eq!(c.own[0], behind, "{late}: {c:?}");
+        assert_eq!((c.missed, c.late, c.duplicate), (late - behind, late - behind, 0), "{late}: {c:?}");
     }
+}
+
+#[test]
+fn replies_that_always_come_behind_their_window_are_feedback_with_their_age() {
+    // A round trip of 520 us, and windows of 500 us; and one into the window of the next cycle, or of the one after it.
+    for (latency_us, within, monitor, tag) in [
+        (260, None, MonitorPlan::Off, ReplyTag::Definition),
+        (260, None, MonitorPlan::AsSet, ReplyTag::Definition),
+        (260, None, MonitorPlan::Off, ReplyTag::Count),
+        (600, Some(2), MonitorPlan::Off, ReplyTag::Definition),
+        (600, Some(2), MonitorPlan::Off, ReplyTag::Count),
+        (1_100, Some(3), MonitorPlan::AsSet, ReplyTag::Definition),
+        (3_200, Some(7), MonitorPlan::Off, ReplyTag::Definition),
+    ] {
+        let what = format!("{latency_us} us, {monitor:?}, {tag:?}");
+        let mut rig = Rig::new(2).each(|_, drive| {
+            (drive.reply_within, drive.monitor, drive.reply_tag) = (within, monitor, tag);
+        });
+        rig.options = WorldOptions { latency_ns: latency_us * US, ..rig.options };
+        let mut b = moving(rig);
+        // A round trip and the time until the next grid point.
+        let age = (2 * latency_us).div_ceil(1_000) as u32 - u32::from(2 * latency_us % 1_000 < 500);
+        for _ in 0..200 {
+            b.step();
+            assert_eq!((b.feedback(0).age, b.feedback(0).status.suspect), (age.max(1), false), "{what}");
+            b.assert_honest(0);
+            assert_near(f64::from(b.feedback(0).rtt_ns.unwrap()), (2_000 * latency_us) as f64, 1_000_000.0);
+        }
+        // Commands are proved by the reply to their own request, rows too.
+        b.done(0, Command::Stop { deceleration: None });
+        b.done(0, to(20.0));
+        assert_near(b.feedback(0).status.position, 20.0, 0.5);
+        let rows = (1..=100).map(|n| Row { last: n == 100, ..row(20.0 + 0.01 * f64::from(n)) });
+        rows.for_each(|row| b.sim.axis(0).push_row(row).unwrap());
+        b.done(0, Command::Follow);
+        assert_near(b.feedback(0).status.position, 21.0, 0.1);
+        b.done(0, Command::Disable);
+        b.shut_down(5_000);
+        let c = counters(b);
+        assert_eq!((c.missed, c.late, c.duplicate, c.foreign, c.suspect), (0, 0, 0, 0, 0), "{what}: {c:?}");
+        assert_eq!(c.own[0], c.answered, "{what}: {c:?}");
+    }
+    // As it was before: none of them counts.
+    let mut rig = Rig::new(1).each(|_, drive| drive.reply_within = Some(1));
+    rig.options = WorldOptions { latency_ns: 260 * US, ..rig.options };
+    let mut b = rig.start();
+    b.run(2_000);
+    let c = counters(b);
+    assert_eq!((c.sent, c.late, c.answered), (20, 20, 0));
+}
+
+#[test]
+fn replies_and_requests_in_disorder_are_no_lost_link() {
+    let disorder = FaultPlan { seed: 7, reorder: 0.25, ..FaultPlan::default() };
+    let run = |change: fn(&mut RigDrive)| {
+        let mut b = moving(Rig::new(1).each(|_, drive| change(drive)));
+        b.world().set_faults(address(0), disorder.clone());
+        for turn in 0..20_000 {
+            b.step();
+            if turn % 500 == 499 && b.feedback(0).stopped.is_none() {
+                b.post(0, if turn % 1_000 == 499 { slowly_to(10.0) } else { slowly_to(190.0) });
+            }
+        }
+        let stopped = b.feedback(0).stopped;
+        b.world().set_faults(address(0), FaultPlan::default());
+        b.shut_down(5_000);
+        (stopped, counters(b))
+    };
+    let (stopped, c) = run(|_| {});
+    assert_eq!(stopped, None, "{c:?}");
+    assert!(c.own[0] > 4_000 && c.missed < 2_000, "{c:?}");
+    let (stopped, c) = run(|drive| (drive.reply_within, drive.axis.health.leak) = (Some(1), 20));
+    assert_eq!(stopped, Some(StopCause::LinkLost), "as it was before: {c:?}");
 }
 
 #[test]

@@ -145,7 +145,7 @@ fn a_lost_drive_hears_its_stop_and_its_power_off_before_the_end() {
     let id = b.post(0, with(Target::Absolute(190.0), 100.0, 1_000.0));
     b.run(100);
     b.tape(0).mute = true;
-    b.run(5);
+    b.run(6);
     assert_eq!(b.feedback(0).link, Link::Lost);
     assert_eq!(b.aborted(0, id), Abort::Stopped(StopCause::LinkLost));
     // Braking and powering off have half a second each.

@@ -260,6 +260,7 @@ pub fn drive(index: usize) -> LinUdpDrive {
         stream: Some(StreamCommand::Pva),
         monitor: MonitorPlan::Off,
         reply_tag: ReplyTag::default(),
+        reply_within: None,
         inhibit_after: LinUdpDrive::INHIBIT_AFTER,
         leash: Some(20.0),
     }

@@ -157,14 +157,15 @@ fn what_a_drive_shows_besides_is_told_when_it_is_new_and_only_of_that_drive() {
         for record in reported(records) {
             match record {
                 Record::Drive(record) => {
-                    silent += u64::from(record.axis == 1 && record.reply == Reply::Answered);
+                    silent += u64::from(record.axis == 1 && record.rtt_ns.is_some());
                     drive = Some(record);
                 }
                 Record::Monitor(record) => {
                     // Behind that of its drive, and of the same reply.
                     let Some(of) = drive.take() else { panic!("{record:?}") };
                     assert_eq!((record.axis, record.index), (1, of.index));
-                    assert!(matches!(of.reply, Reply::Answered | Reply::Suspect), "{of:?}");
+                    // The exchange before may have been missed in the same cycle.
+                    assert!(of.rtt_ns.is_some() || of.reply == Reply::Suspect, "{of:?}");
                     // The drive's own clock: no value is told twice.
                     let [None, Some(timer), None, _] = record.shown.values() else { panic!("{record:?}") };
                     assert!(timer > at, "{timer} after {at}");
@@ -174,10 +175,10 @@ fn what_a_drive_shows_besides_is_told_when_it_is_new_and_only_of_that_drive() {
             }
         }
     });
-    // Some replies say nothing of it: those before the drive is set up, and those to the request after a miss.
+    // Some replies say nothing of it: those before the drive is set up. No link is lost by so few misses.
     silent -= fresh;
     let missed = end.drives[1].counters.missed;
-    assert!(fresh > CYCLES / 2 && (missed..CYCLES / 4).contains(&silent), "{fresh} {silent} {missed}");
+    assert!(fresh > CYCLES / 2 && (1..20).contains(&silent) && missed > 50, "{fresh} {silent} {missed}");
 }
 
 #[test]

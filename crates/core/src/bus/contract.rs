@@ -35,8 +35,9 @@ pub trait LastResort: std::fmt::Debug + Send {
 ///
 /// It carries five kinds of wire. What each of them makes of the exchange of a due slot, and the clauses for it alone:
 ///
-/// - **A reply to each request** (LinUDP): [`Owed`](Exchange::Owed) by the deadline of its cycle, then
-///   [`Answered`](Exchange::Answered) with a round trip.
+/// - **A reply to each request** (LinUDP): [`Owed`](Exchange::Owed) by the deadline of its cycle, or of a later one,
+///   then [`Answered`](Exchange::Answered) with a round trip. The next request leaves in its turn, whatever is owed:
+///   before that the bus puts an open exchange into [`Slot::earlier`]. `BusPlan::reply_within`.
 /// - **One request outstanding on a connection** (Modbus TCP): owed by a later deadline, and `awaited` in its own
 ///   window if the drive usually answers there. [`Slot::reachable`], [`helper_ended`](Bus::helper_ended),
 ///   `BusPlan::reply_within_ns`.
@@ -286,6 +287,8 @@ pub struct Slot {
     /// The next report is written as a whole, as if all of it were new: the loop has not taken the last one, or has
     /// changed the status. The loop sets and clears it.
     pub anew: bool,
+    /// There is something in `earlier`. The bus sets it, the loop clears it.
+    pub has_earlier: bool,
     /// What else is new of the drive.
     pub notices: Notices,
     /// What the drive reported last.
@@ -296,6 +299,106 @@ pub struct Slot {
     pub counters: Counters,
     /// What the drive shall do from its next request on.
     pub desired: Desired,
+    /// Its exchanges of earlier cycles, where the next request does not wait for a reply.
+    pub earlier: Earlier,
+}
+
+impl Slot {
+    /// When the request of the newest exchange of an earlier cycle that was answered in this one was sent.
+    #[inline]
+    pub fn earlier_answered(&self) -> Option<Time> {
+        if self.has_earlier { self.earlier.answered() } else { None }
+    }
+}
+
+/// The most exchanges of earlier cycles of one drive that are owed at once.
+pub const MOST_EARLIER: usize = 6;
+
+/// The exchanges of a drive whose replies count beyond the cycle of their request although the next request leaves
+/// meanwhile. The bus puts one here before it opens the next, and takes in its reply; the loop judges those whose time
+/// is up.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Earlier {
+    /// Those that are owed, oldest first, so many of them: when each was sent, and until when its reply counts.
+    owed: [(Time, Time); MOST_EARLIER],
+    count: u8,
+    /// There was no room for so many.
+    dropped: u8,
+    /// So many were answered since the loop last looked.
+    answered: u8,
+    /// The longest round trip of these, ns.
+    rtt_ns: u64,
+    /// When the request of the newest of these was sent.
+    sent_at: Time,
+}
+
+/// What the loop finds in [`Earlier`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Ended {
+    /// So many exchanges were not answered in their time.
+    pub missed: u32,
+    /// So many were answered.
+    pub answered: u32,
+    /// The longest round trip of these, ns.
+    pub rtt_ns: u64,
+    /// When the request of the newest of these was sent.
+    pub sent_at: Time,
+}
+
+impl Earlier {
+    /// An exchange that was sent then is owed by `reply_by`, whatever is sent next. One for which there is no room any
+    /// more replaces the oldest, which is missed.
+    pub fn owe(&mut self, sent_at: Time, reply_by: Time) {
+        if usize::from(self.count) == MOST_EARLIER {
+            self.dropped = self.dropped.saturating_add(1);
+            self.remove(0);
+        }
+        if let Some(room) = self.owed.get_mut(usize::from(self.count)) {
+            *room = (sent_at, reply_by);
+            self.count += 1;
+        }
+    }
+
+    /// The reply to the request that was sent then has come. False: it is not owed.
+    pub fn answer(&mut self, sent_at: Time, at: Time) -> bool {
+        let found = self.open().iter().position(|(sent, _)| *sent == sent_at);
+        if let Some(place) = found {
+            self.remove(place);
+            self.answered = self.answered.saturating_add(1);
+            (self.rtt_ns, self.sent_at) = (self.rtt_ns.max(at.since(sent_at)), self.sent_at.max(sent_at));
+        }
+        found.is_some()
+    }
+
+    /// Those that are owed, oldest first: when each was sent, and until when its reply counts.
+    pub fn open(&self) -> &[(Time, Time)] {
+        &self.owed[..usize::from(self.count)]
+    }
+
+    /// How many of them end with the window of `cycle`.
+    pub fn waited_for(&self, cycle: &Cycle) -> usize {
+        self.open().iter().filter(|(_, reply_by)| cycle.closes(*reply_by)).count()
+    }
+
+    /// When the request of the newest one that was answered since the loop last looked was sent.
+    pub fn answered(&self) -> Option<Time> {
+        (self.answered > 0).then_some(self.sent_at)
+    }
+
+    /// What has ended by the end of the window of `cycle`; the loop takes it.
+    pub fn end(&mut self, cycle: &Cycle) -> Ended {
+        let overdue = self.waited_for(cycle);
+        // The oldest come first.
+        (0..overdue).for_each(|_| self.remove(0));
+        let missed = u32::from(std::mem::take(&mut self.dropped)) + overdue as u32;
+        let answered = std::mem::take(&mut self.answered).into();
+        Ended { missed, answered, rtt_ns: std::mem::take(&mut self.rtt_ns), sent_at: self.sent_at }
+    }
+
+    fn remove(&mut self, place: usize) {
+        self.owed.copy_within(place + 1..usize::from(self.count), place);
+        self.count -= 1;
+    }
 }
 
 /// The state of a drive's exchange.

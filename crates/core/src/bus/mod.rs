@@ -24,7 +24,7 @@ mod plan;
 pub mod reader;
 pub mod variant;
 
-pub use self::contract::{Bus, Cycle, Exchange, LastResort, Notes, Slot};
+pub use self::contract::{Bus, Cycle, Earlier, Exchange, LastResort, MOST_EARLIER, Notes, Slot};
 pub use self::counters::{BusClock, Counters, OwnCounter, ProtocolCounters, Unmatched};
 pub use self::drives::Ends;
 pub use self::error::OpenError;

@@ -58,6 +58,12 @@ pub trait BusPlan: Any + Debug + Send + Sync {
         None
     }
 
+    /// For how many cycles a reply of drive `index` counts, that of its request included, although the next request does
+    /// not wait for it.
+    fn reply_within(&self, _index: usize) -> u32 {
+        1
+    }
+
     /// On a half-duplex wire: the longest time from the slot in which an exchange of drive `index` is due to its end,
     /// all turns before its own included, ns. `None`: a request leaves in the slot in which it is due.
     fn turn_within_ns(&self, _index: usize, _grid: Grid) -> Option<u64> {

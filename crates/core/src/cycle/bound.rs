@@ -8,8 +8,8 @@ use crate::bus::BusPlan;
 /// When the exchanges of a drive end, and when the next one can begin.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Pace {
-    /// A reply comes in the cycle that requests it.
-    Cycle,
+    /// A reply counts for so many cycles after the one that requested it, and the next request does not wait for it.
+    Cycle(u64),
     /// On a connection: a reply counts for so many cycles after the one that requested it, and the next request waits
     /// for it.
     Connection(u64),
@@ -43,7 +43,10 @@ impl<'a> Paced<'a> {
         // Its age counts from a packet that may have come in the window, to a later grid point.
         let own_clock =
             bus.fresh_within_ns(index, period_ns).map(|ns| Pace::OwnClock(ns.div_ceil(period_ns)));
-        let pace = connection.or(half_duplex).or(own_clock).unwrap_or(Pace::Cycle);
+        let pace = connection
+            .or(half_duplex)
+            .or(own_clock)
+            .unwrap_or_else(|| Pace::Cycle(u64::from(bus.reply_within(index).saturating_sub(1))));
         Paced { axis, pace, before_stop: bus.before_stop(index) }
     }
 
@@ -55,7 +58,7 @@ impl<'a> Paced<'a> {
     fn turn(&self) -> u64 {
         let open = match self.pace {
             Pace::Connection(cycles) | Pace::HalfDuplex(_, cycles) => cycles,
-            Pace::Cycle | Pace::OwnClock(_) => 0,
+            Pace::Cycle(_) | Pace::OwnClock(_) => 0,
         };
         (open / self.divisor()).saturating_add(1).saturating_mul(self.divisor())
     }
@@ -64,8 +67,10 @@ impl<'a> Paced<'a> {
     /// the first slot after its last packet.
     fn late(&self) -> u64 {
         match self.pace {
-            Pace::Cycle => 0,
-            Pace::Connection(cycles) | Pace::HalfDuplex(_, cycles) | Pace::OwnClock(cycles) => cycles,
+            Pace::Cycle(cycles)
+            | Pace::Connection(cycles)
+            | Pace::HalfDuplex(_, cycles)
+            | Pace::OwnClock(cycles) => cycles,
         }
     }
 
@@ -138,9 +143,10 @@ pub fn stop_bound(plan: &Plan, index: usize) -> u64 {
     all.get(index).map_or(0, |drive| bound(drive, &all))
 }
 
-/// The same for `axis` among `all`, whose replies come in the cycle that asks.
-pub fn stop_bound_cycles(axis: &AxisPlan, all: &[&AxisPlan]) -> u64 {
-    let in_cycle = |axis| Paced { axis, pace: Pace::Cycle, before_stop: 0 };
+/// The same for `axis` among `all`, whose replies count in so many cycles, that of the request included.
+pub fn stop_bound_cycles(axis: &AxisPlan, all: &[&AxisPlan], reply_within: u32) -> u64 {
+    let pace = Pace::Cycle(u64::from(reply_within.saturating_sub(1)));
+    let in_cycle = |axis| Paced { axis, pace, before_stop: 0 };
     let all: Vec<Paced<'_>> = all.iter().map(|axis| in_cycle(*axis)).collect();
     bound(&in_cycle(axis), &all)
 }
@@ -194,13 +200,17 @@ mod tests {
         };
         // Three misses, each known in its own cycle; the stop of y leaves in its next turn, that of x in the next
         // cycle.
-        assert_eq!(bound_of(Pace::Cycle, Pace::Cycle), [4 + 2 * 4 + 2, 4 + 2 * 4 + 1]);
+        let cycle = Pace::Cycle(0);
+        assert_eq!(bound_of(cycle, cycle), [4 + 2 * 4 + 2, 4 + 2 * 4 + 1]);
+        // Each miss is known 5 cycles later, and no request waits for that.
+        assert_eq!(bound_of(Pace::Cycle(5), cycle), [4 + 2 * 4 + 5 + 2, 4 + 2 * 4 + 5 + 1]);
+        assert_eq!(bound_of(cycle, Pace::Cycle(5)), bound_of(cycle, cycle));
         // Each miss is known 5 cycles later, and the next request waits for that.
-        assert_eq!(bound_of(Pace::Connection(5), Pace::Cycle), [4 + 2 * 8 + 5 + 2, 4 + 2 * 8 + 5 + 1]);
+        assert_eq!(bound_of(Pace::Connection(5), cycle), [4 + 2 * 8 + 5 + 2, 4 + 2 * 8 + 5 + 1]);
         // The stop waits for its turn as well.
         let turn = Pace::HalfDuplex(3, 5);
-        assert_eq!(bound_of(turn, Pace::Cycle), [4 + 2 * 8 + 5 + 4, 4 + 2 * 8 + 5 + 4]);
-        assert_eq!(bound_of(Pace::Cycle, turn), [4 + 2 * 4 + 6 + 3, 4 + 2 * 4 + 1]);
+        assert_eq!(bound_of(turn, cycle), [4 + 2 * 8 + 5 + 4, 4 + 2 * 8 + 5 + 4]);
+        assert_eq!(bound_of(cycle, turn), [4 + 2 * 4 + 6 + 3, 4 + 2 * 4 + 1]);
         // What a drive of the group is sent counts with its next new request; what the lost one is sent is new.
         let of = |axis, before_stop| Paced { axis, pace: Pace::HalfDuplex(0, 0), before_stop };
         let all = [of(&x, 1), of(&y, 1), of(&alone, 1)];
@@ -215,6 +225,6 @@ mod tests {
             assert_eq!(bound(&all[0], &all), 8 + 2 * 8 + 5 + next, "{phase}");
         }
         // The last packet counts for 7 cycles, and the stop leaves in the next own slot.
-        assert_eq!(bound_of(Pace::OwnClock(7), Pace::Cycle), [4 + 2 * 4 + 7 + 4, 4 + 2 * 4 + 7 + 4]);
+        assert_eq!(bound_of(Pace::OwnClock(7), cycle), [4 + 2 * 4 + 7 + 4, 4 + 2 * 4 + 7 + 4]);
     }
 }

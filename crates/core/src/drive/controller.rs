@@ -161,6 +161,8 @@ pub struct DriveController {
     answered: Option<bool>,
     /// The wires were taken from the loop.
     stuck: bool,
+    /// So many exchanges were missed in this cycle, where some were of earlier ones.
+    misses: u32,
     /// The monitored variables since the start.
     monitor: [Option<Extent>; MONITOR_CHANNELS],
 }
@@ -258,6 +260,7 @@ impl DriveController {
             requested: Requested::default(),
             answered: None,
             stuck: false,
+            misses: 0,
             monitor: [None; MONITOR_CHANNELS],
         }
     }
@@ -330,6 +333,11 @@ impl DriveController {
     #[inline]
     pub fn is_called(&self) -> bool {
         self.called
+    }
+
+    /// How many exchanges were missed in this cycle, in which one was; once.
+    pub fn take_misses(&mut self) -> u64 {
+        std::mem::take(&mut self.misses).max(1).into()
     }
 
     /// How the exchange of this cycle was closed, once.

@@ -38,7 +38,9 @@ pub struct LinkHealth {
     phase: u32,
     next_probe: u64,
     /// Cycles between two probes of a drive that does not answer.
-    probe_every: u64,
+    probe_every: u32,
+    /// The slot in which it was lost: its lower half.
+    lost_at: u32,
     /// The most slots since the last good one, executed or not.
     silence: u64,
 }
@@ -56,6 +58,7 @@ impl LinkHealth {
         probes: Probes,
     ) -> LinkHealth {
         let probe_every = nanos(rules.probe_interval).div_ceil(period_ns).max(1);
+        let probe_every = u32::try_from(probe_every).unwrap_or(u32::MAX);
         LinkHealth {
             link: Link::Unseen,
             each_slot: divisor <= 1 && phase == 0,
@@ -71,6 +74,7 @@ impl LinkHealth {
             next_probe: first_probe,
             probe_every,
             silence,
+            lost_at: u32::MAX,
         }
     }
 
@@ -95,14 +99,14 @@ impl LinkHealth {
     #[inline]
     pub fn requested(&mut self, index: u64, sent: bool) {
         if matches!(self.link, Link::Unseen | Link::Lost) {
-            self.next_probe = if sent { self.again(index) } else { index + self.probe_every };
+            self.next_probe = if sent { self.again(index) } else { index + u64::from(self.probe_every) };
         }
     }
 
     /// When a drive that does not answer has its turn again, after slot `index`.
     fn again(&self, index: u64) -> u64 {
         match self.probes {
-            Probes::Spaced => index + self.probe_every,
+            Probes::Spaced => index + u64::from(self.probe_every),
             Probes::Carried | Probes::AtOwnRate => self.next_own(index),
         }
     }
@@ -125,13 +129,15 @@ impl LinkHealth {
         self.good += 1;
         // Usually it is up, and nothing leaks yet.
         if self.link != Link::Online || self.good >= self.leak {
-            self.improve();
+            self.improve(index);
         }
     }
 
     #[inline(never)]
-    fn improve(&mut self) {
+    fn improve(&mut self, index: u64) {
         match self.link {
+            // One that was answered in the cycle of the loss does not hold up its stop.
+            Link::Lost if self.lost_at == index as u32 => return,
             Link::Unseen | Link::Lost => {
                 self.link = Link::Qualifying;
                 self.good = 1;
@@ -174,7 +180,7 @@ impl LinkHealth {
     }
 
     fn lose(&mut self, index: u64) {
-        self.link = Link::Lost;
+        (self.link, self.lost_at) = (Link::Lost, index as u32);
         // The stop request leaves with the very next slot, as the first probe; at an agreed rate with the next own one.
         self.next_probe = match self.probes {
             Probes::Spaced | Probes::Carried => index + 1,
@@ -236,28 +242,128 @@ mod tests {
         assert!(!health.is_due(219) && health.is_due(220));
     }
 
+    /// A link of these rules that has just come up.
+    fn up(bucket: u32, leak: u32) -> LinkHealth {
+        let rules = Health { bucket, leak, gate: 1, ..Health::default() };
+        let mut health = LinkHealth::new(rules, 1, 0, MS, 0, u64::MAX, Probes::Spaced);
+        health.answered(0);
+        assert_eq!(health.link(), Link::Online);
+        health
+    }
+
     #[test]
-    fn the_bucket_fills_by_misses_and_leaks_by_good_exchanges() {
+    fn the_bucket_fills_by_misses_and_leaks_by_good_exchanges_in_a_row() {
         let mut health = online();
         health.bad(4, 3);
         assert_eq!(health.link(), Link::Online);
-        health.good(20, 0);
+        health.good(Health::default().leak, 0);
         health.bad(1, 30);
         assert_eq!(health.link(), Link::Online, "one miss has leaked away");
         health.bad(1, 31);
         assert_eq!(health.link(), Link::Lost);
-        assert_eq!(health.due(32..140, true), [32, 132], "the stop request leaves with the next slot");
+        // What was answered in the same slot does not hold up the stop.
+        health.answered(31);
+        assert_eq!(
+            (health.link(), health.due(32..140, true)),
+            (Link::Lost, vec![32, 132]),
+            "the stop, with the next slot"
+        );
         // One that comes back has an empty bucket.
         health.good(10, 0);
         health.bad(4, 0);
         assert_eq!(health.link(), Link::Online);
-        // Only good exchanges in a row take a miss out.
-        let mut health = online();
+        // As it was by default: only 20 good ones in a row take a miss out.
+        let mut health = up(5, 20);
         for misses in 1..=5 {
-            // One too few to be forgotten.
-            health.good(Health::default().leak - 1, 0);
+            health.good(19, 0);
             health.bad(1, 0);
             assert_eq!(health.link() == Link::Lost, misses == 5, "{misses}");
+        }
+    }
+
+    /// In how many exchanges a link that has just come up is lost, as `missed` says of each of them; `None`: not in so
+    /// `many`.
+    fn lost_in(bucket: u32, leak: u32, many: u64, mut missed: impl FnMut(u64) -> bool) -> Option<u64> {
+        let mut health = up(bucket, leak);
+        (1..=many).find(|exchange| {
+            match missed(*exchange) {
+                true => health.missed(0, true),
+                false => health.answered(0),
+            }
+            health.link() == Link::Lost
+        })
+    }
+
+    #[test]
+    fn a_link_is_lost_by_the_misses_that_its_rules_state_and_by_no_fewer() {
+        let random = &mut fastrand::Rng::with_seed(1);
+        for _ in 0..200 {
+            let (bucket, leak) = (random.u32(1..20), random.u32(1..40));
+            let rules = Health { bucket, leak, ..Health::default() };
+            let one_in = rules.tolerates_one_in();
+            let lost = |many, missed: &dyn Fn(u64) -> bool| lost_in(bucket, leak, many, missed);
+            assert_eq!(lost(10_000, &|_| true), Some(bucket.into()), "{rules:?}");
+            // A bucket of one has no room for any.
+            let evenly = lost(10_000, &|exchange| exchange % one_in == 0);
+            assert_eq!(evenly, Some(one_in).filter(|_| bucket == 1), "{rules:?}");
+            let twice = lost(10_000, &|exchange| exchange == 1 || 2 * exchange % one_in < 2);
+            assert!(twice.is_some_and(|twice| twice <= rules.lost_at_twice_that()), "{rules:?}: {twice:?}");
+            // However the misses are spread: with as many good ones behind each of them it is never lost.
+            let mut good = 0;
+            let spread = lost_in(bucket, leak, 10_000, |_| {
+                let missed = good >= leak && random.u8(..4) == 0;
+                good = if missed { 0 } else { good + 1 };
+                missed
+            });
+            assert!(spread.is_none() || bucket == 1, "{rules:?}: {spread:?}");
+        }
+    }
+
+    #[test]
+    fn a_link_lasts_as_long_as_its_rules_say_where_exchanges_are_missed_at_random() {
+        let random = &mut fastrand::Rng::with_seed(2);
+        for (bucket, leak, share) in [
+            (5, 1, 0.3),
+            (5, 1, 0.2),
+            (5, 2, 0.2),
+            (5, 20, 0.03),
+            (5, 20, 0.01),
+            (1, 7, 0.05),
+            (3, 4, 0.1),
+            (12, 3, 0.3),
+        ] {
+            const LINKS: u64 = 1_000;
+            let lasted = |_| lost_in(bucket, leak, u64::MAX, |_| random.f64() < share).unwrap_or_default();
+            let mean = (0..LINKS).map(lasted).sum::<u64>() as f64 / LINKS as f64;
+            let stated = Health { bucket, leak, ..Health::default() }.exchanges_to_loss(share);
+            // About as far from each other as the mean: four deviations of the mean of so many.
+            assert!(
+                (mean / stated - 1.0).abs() < 0.13,
+                "{bucket} {leak} {share}: {mean} instead of {stated}"
+            );
+        }
+    }
+
+    #[test]
+    fn by_default_a_random_loss_of_a_hundredth_of_all_datagrams_stops_nothing_in_a_hundred_million_exchanges()
+    {
+        let rules = Health::default();
+        // Of the requests, and of the replies.
+        for share in [0.01, 0.02] {
+            assert!(rules.exchanges_to_loss(share) > 1e8, "{share}: {}", rules.exchanges_to_loss(share));
+        }
+        assert_eq!(rules.bucket, 5, "a dead drive is lost no later");
+        let before = Health { leak: 20, ..rules }.exchanges_to_loss(0.01);
+        assert!((10_000.0..100_000.0).contains(&before), "{before}");
+        // And so it goes: 10^8 exchanges, of which only those count that change something.
+        let (mut health, random, mut exchanges) =
+            (up(rules.bucket, rules.leak), &mut fastrand::Rng::with_seed(3), 0);
+        while exchanges < 100_000_000 {
+            let good = (random.f64().ln() / 0.99_f64.ln()) as u64;
+            health.good(good.min(u64::from(rules.bucket * rules.leak)) as u32, 0);
+            health.bad(1, 0);
+            assert_eq!(health.link(), Link::Online, "after {exchanges} exchanges");
+            exchanges += good + 1;
         }
     }
 

@@ -38,7 +38,7 @@ impl Bench {
             Duration::from_millis(1),
         );
         Bench {
-            channel: RtcChannel::new(port, sources),
+            channel: RtcChannel::new(port, sources, 1),
             acyclic,
             now: Time(S),
             link: Link::Online,
@@ -62,7 +62,7 @@ impl Bench {
         );
         self.channel.sent();
         if let Some(answer) = block.and_then(answer) {
-            self.channel.take(answer);
+            self.channel.take(answer, false);
         }
         block
     }
@@ -220,7 +220,7 @@ fn a_write_that_nobody_waits_for_is_under_way_until_the_drive_has_stored_a_later
     }
     b.turn(|_| None);
     assert_eq!(b.turn(|_| None), None, "nothing is said into a silence");
-    b.channel.take_none();
+    b.channel.take_none(false);
     b.turn(done);
     assert_eq!(b.turn(done), None, "nothing more is to be found out");
     assert!(!b.channel.commands());
@@ -266,7 +266,7 @@ fn a_save_goes_out_once_into_a_silence_and_is_asked_for_by_its_count_after_it() 
     let (mut b, mut ticket) = saving();
     let sent = b.turn(|_| None);
     assert_eq!(b.turn(|_| None), None);
-    b.channel.take_none();
+    b.channel.take_none(false);
     for _ in 0..1_000 {
         assert_eq!(b.turn(|_| Some(RtcBlock::answer(2, RtcStatus::DONE))), sent);
     }
@@ -281,7 +281,7 @@ fn a_restart_is_done_when_it_is_answered_or_the_drive_is_seen_to_boot() {
     let sent = b.turn(|_| None);
     assert_eq!(sent.map(|block| block.code), Some(RtcCommand::RESTART.0));
     assert_eq!(b.turn(|_| None), None, "it may be doing it");
-    b.channel.take_none();
+    b.channel.take_none(false);
     assert_eq!(b.turn(|_| None), sent, "it answers, so it is not");
     b.link = Link::Lost;
     (0..9).for_each(|_| assert_ne!(b.turn(|_| None), sent));

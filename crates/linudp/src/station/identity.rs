@@ -7,13 +7,20 @@
 //! more or less, so that its echo is its own. With `reply_tag = "count"` a real-time-config no-operation carries a new
 //! count in every request and its echo names the request.
 //!
-//! What comes between two windows answers nothing: the bus takes it in before the next request leaves. What is left is
-//! an answered exchange whose reply comes once more, eight exchanges late, between a request and the reply to it: it
-//! passes for the newest. So no single reply proves that a command is done, or that the drive has lost its power
-//! ([`profile`](super::super::profile)).
+//! Requests do not wait for replies. An exchange that is owed when the next request leaves stays open for
+//! `reply_within` cycles, and a reply that echoes it answers it: of so few exchanges no two have the same echo. A
+//! request that has no echo of its own is answered in its own window only.
+//!
+//! What comes between two windows and answers no open exchange answers nothing: the bus takes it in before the next
+//! request leaves. What is left is an answered exchange whose reply comes once more, eight exchanges late, between a
+//! request and the reply to it: it passes for the newest. So no single reply proves that a command is done, or that the
+//! drive has lost its power ([`profile`](super::super::profile)).
 
 use crate::plan::ReplyTag;
+use crate::profile::Carried;
 use crate::wire::{RequestDef, ResponseDef, ResponseView};
+use fieldbeat_core::bus::MOST_EARLIER;
+use fieldbeat_core::time::Time;
 
 /// The blocks that come in turn, so that consecutive response definitions differ: the ones that a cycle can do without.
 /// The error code comes with every second reply: that there is an error stands in the status word of each.
@@ -54,6 +61,19 @@ pub(super) struct Identity {
     /// The kinds of the requests before the last one, newest first, without repetitions in a row: as far back as late
     /// replies come from while the link is still online.
     requested_before: [Echo; 3],
+    /// Exchanges that were owed when the next request left, oldest first, so many of them: they may be over since.
+    earlier: [EarlierRequest; MOST_EARLIER],
+    earlier_count: u8,
+}
+
+/// A request whose reply may come after newer ones have left.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct EarlierRequest {
+    echo: Echo,
+    /// When it was sent.
+    pub(super) sent_at: Time,
+    /// What it and those before it carried.
+    pub(super) carried: Carried,
 }
 
 /// What a reply echoes of its request.
@@ -63,6 +83,15 @@ pub(super) struct Echo {
     pub(super) response: ResponseDef,
     /// The count of the real-time-config block; of a request, if it was chosen to distinguish its reply from others.
     pub(super) tag: Option<u8>,
+}
+
+impl Echo {
+    #[inline]
+    fn is_that_of(&self, view: &ResponseView<'_>) -> bool {
+        let Echo { request, response, tag } = *self;
+        (view.request_def(), view.response_def()) == (request, response)
+            && (tag.is_none() || view.config().map(|config| config.count()) == tag)
+    }
 }
 
 /// What a reply is that closes no exchange in its window.
@@ -103,6 +132,8 @@ impl Identity {
             prepared: Echo::default(),
             requested: Echo::default(),
             requested_before: [Echo::default(); 3],
+            earlier: [EarlierRequest::default(); MOST_EARLIER],
+            earlier_count: 0,
             open: false,
             under_way: 0,
             mistakable: 0,
@@ -162,9 +193,7 @@ impl Identity {
     /// The reply can be that to the last request.
     #[inline]
     pub(super) fn is_answered_by(&self, view: &ResponseView<'_>) -> bool {
-        let Echo { request, response, tag } = self.requested;
-        (view.request_def(), view.response_def()) == (request, response)
-            && (tag.is_none() || view.config().map(|config| config.count()) == tag)
+        self.requested.is_that_of(view)
     }
 
     /// The last request is answered; true: the reply may be that of an earlier one.
@@ -178,6 +207,58 @@ impl Identity {
             self.mistakable = 0;
         }
         suspect
+    }
+
+    /// No other request of the last ones has the echo of the prepared one.
+    #[inline]
+    pub(super) fn is_named(&self) -> bool {
+        self.turns > 1 || self.prepared.tag.is_some()
+    }
+
+    /// The last request, which was sent then, is owed as the next one leaves.
+    pub(super) fn owe(&mut self, sent_at: Time, carried: Carried) {
+        if usize::from(self.earlier_count) == MOST_EARLIER {
+            self.forget(0);
+        }
+        if let Some(room) = self.earlier.get_mut(usize::from(self.earlier_count)) {
+            *room = EarlierRequest { echo: self.requested, sent_at, carried };
+            self.earlier_count += 1;
+        }
+    }
+
+    /// The place of the request of an earlier cycle that this reply echoes, the newest one first.
+    pub(super) fn earlier(&self, view: &ResponseView<'_>) -> Option<(usize, EarlierRequest)> {
+        let known = self.earlier[..usize::from(self.earlier_count)].iter().enumerate().rev();
+        let mut found = known.filter(|(_, earlier)| earlier.echo.is_that_of(view));
+        found.next().map(|(place, earlier)| (place, *earlier))
+    }
+
+    /// The exchange at this place is answered; true: the reply may be that of an older one.
+    pub(super) fn answer_earlier(&mut self, place: usize) -> bool {
+        let echo = self.earlier[place].echo;
+        let suspect = echo.tag.is_none() && self.mistakable >= self.turns;
+        self.forget(place);
+        if self.open && echo == self.requested {
+            // No request has left since.
+            (self.open, self.suspect) = (false, suspect);
+            if !suspect {
+                self.mistakable = 0;
+            }
+            return suspect;
+        }
+        self.take_late();
+        if !suspect {
+            // Those before it count as lost; those behind it are under way.
+            let behind = usize::from(self.earlier_count).saturating_sub(place) + usize::from(self.open);
+            self.mistakable = self.mistakable.min(behind as u8);
+        }
+        suspect
+    }
+
+    /// The exchange at this place is over.
+    pub(super) fn forget(&mut self, place: usize) {
+        self.earlier.copy_within(place + 1..usize::from(self.earlier_count), place);
+        self.earlier_count -= 1;
     }
 
     /// A reply that closes no exchange in its window.

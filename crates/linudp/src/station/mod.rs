@@ -21,6 +21,7 @@ pub(super) use self::serial::SerialNote;
 use self::identity::{Echo, Identity, Unrequested};
 use self::report::Track;
 use self::serial::Identification;
+use super::counters::Own;
 use super::last::PowerSent;
 use super::native::{Native, NativePort, native};
 use super::other::OtherMaster;
@@ -63,6 +64,8 @@ pub struct Station {
     probing: bool,
     /// Probes that have gone out.
     probes: u8,
+    /// So many cycles after that of its request a reply counts.
+    beyond: u8,
     inputs: Inputs,
     /// The last clean reply was the first one that says that the drive starts: the next one confirms it.
     starts: bool,
@@ -101,11 +104,12 @@ impl Station {
             who: Identification::new(drive.serial),
             probing: false,
             probes: 0,
+            beyond: drive.replies_within().saturating_sub(1) as u8,
             units: drive.axis.units,
             track: Track::default(),
             profile: Profile::new(drive),
             other: OtherMaster::default(),
-            rtc: RtcChannel::new(port, drive.monitor.sources()),
+            rtc: RtcChannel::new(port, drive.monitor.sources(), drive.replies_within() as u8),
             native,
             monitor: drive.monitor,
         };
@@ -212,18 +216,30 @@ impl Station {
 
     /// The request was handed to the wire.
     #[inline]
-    pub fn sent(&mut self, sent_at: Time, reply_by: Time, slot: &mut Slot) {
+    pub fn sent(&mut self, sent_at: Time, cycle: &Cycle, slot: &mut Slot) {
+        let beyond = if self.identity.is_named() { self.beyond } else { 0 };
+        let reply_by = cycle.deadline + u64::from(beyond) * cycle.period_ns;
         self.identity.sent();
         if self.probing {
             self.probes = (self.probes + 1) % FULL_PROBE_EVERY;
         }
         slot.counters.sent += 1;
-        slot.exchange = Exchange::Owed { sent_at, reply_by, awaited: false };
+        slot.exchange = Exchange::Owed { sent_at, reply_by, awaited: true };
         self.profile.sent();
         slot.gone.grid = Some(self.grid);
         self.other.sent();
         if !self.idle {
             self.rtc.sent();
+        }
+    }
+
+    /// The exchange of an earlier cycle is still owed as the next request leaves.
+    #[cold]
+    pub fn owe(&mut self, slot: &mut Slot) {
+        if let Exchange::Owed { sent_at, reply_by, .. } = slot.exchange {
+            self.identity.owe(sent_at, self.profile.carried());
+            slot.earlier.owe(sent_at, reply_by);
+            (slot.exchange, slot.has_earlier) = (Exchange::Idle, true);
         }
     }
 
@@ -252,7 +268,7 @@ impl Station {
                 if suspect {
                     slot.counters.suspect += 1;
                 }
-                self.read(sent_at, at, &view, suspect, slot);
+                self.read(sent_at, at, &view, suspect, None, slot);
             }
             _ => self.unrequested(at, &view, in_window, slot),
         }
@@ -269,6 +285,15 @@ impl Station {
             }
             return;
         }
+        if !in_window {
+            self.owe(slot);
+        }
+        if slot.has_earlier && let Some((place, _)) = self.identity.earlier(view) {
+            if !self.identity.answer_earlier(place) {
+                self.who.take(view.config());
+            }
+            return;
+        }
         match self.identity.unrequested(view, in_window) {
             Unrequested::Second { .. } | Unrequested::Late => slot.counters.late += 1,
             Unrequested::Duplicate => slot.counters.duplicate += 1,
@@ -276,9 +301,34 @@ impl Station {
         }
     }
 
-    /// A well-formed telegram that closes no exchange in its window.
+    /// Whether a telegram answers an exchange of an earlier cycle. It is read if it is newer than the newest one.
+    fn answers_earlier(&mut self, at: Time, view: &ResponseView<'_>, slot: &mut Slot) -> bool {
+        let Some((place, request)) = self.identity.earlier(view) else { return false };
+        if !slot.earlier.answer(request.sent_at, at) {
+            // Its time is over.
+            self.identity.forget(place);
+            return false;
+        }
+        let suspect = self.identity.answer_earlier(place);
+        slot.has_earlier = true;
+        slot.counters.answered += 1;
+        slot.counters.suspect += u64::from(suspect);
+        Own::Behind.count(&mut slot.counters);
+        if self.track.is_newer(request.sent_at) {
+            self.read(request.sent_at, at, view, suspect, Some(request.carried), slot);
+        }
+        true
+    }
+
+    /// A well-formed telegram that does not close the exchange of this window.
     #[cold]
     fn unrequested(&mut self, at: Time, view: &ResponseView<'_>, in_window: bool, slot: &mut Slot) {
+        if !in_window {
+            self.owe(slot);
+        }
+        if slot.has_earlier && self.answers_earlier(at, view, slot) {
+            return;
+        }
         match self.identity.unrequested(view, in_window) {
             Unrequested::Second { suspect } => {
                 slot.counters.late += 1;
@@ -287,7 +337,7 @@ impl Station {
                     // The feedback is fresh again. The exchange stays without a round-trip sample.
                     (sent_at, *suspect) = (*sent, true);
                 }
-                self.read(sent_at, at, view, suspect, slot);
+                self.read(sent_at, at, view, suspect, None, slot);
             }
             Unrequested::Late => slot.counters.late += 1,
             Unrequested::Duplicate => slot.counters.duplicate += 1,

@@ -2,7 +2,7 @@
 
 use super::Station;
 use crate::plan::MonitorPlan;
-use crate::profile::Inputs;
+use crate::profile::{Carried, Inputs};
 use crate::wire::{Front, MainState, ResponseView, StateVar, StatusWord};
 use fieldbeat_core::axis::units::Unwrap;
 use fieldbeat_core::axis::{Link, State, Units};
@@ -29,6 +29,11 @@ struct Counts {
 }
 
 impl Track {
+    /// A reply to the request that left at `sent_at` is newer than the last one.
+    pub(super) fn is_newer(&self, sent_at: Time) -> bool {
+        self.last.is_none_or(|last| sent_at > last.sent_at)
+    }
+
     /// The positions of the next reply.
     #[inline]
     fn next(&mut self, sent_at: Time, front: &Front, units: &Units) -> Counts {
@@ -44,7 +49,8 @@ impl Track {
 }
 
 impl Station {
-    /// The values of an accepted reply to the request that left at `sent_at`.
+    /// The values of an accepted reply to the request that left at `sent_at`; newer ones have left since if that is
+    /// given what it `carried`.
     #[inline(always)]
     pub(super) fn read(
         &mut self,
@@ -52,13 +58,19 @@ impl Station {
         at: Time,
         view: &ResponseView<'_>,
         suspect: bool,
+        carried: Option<Carried>,
         slot: &mut Slot,
     ) {
         let front = view.front();
         let rehomed = front.status.homed() != self.inputs.status.homed();
         let same = (front.status, front.state) == (self.inputs.status, self.inputs.state);
-        let settled =
-            same && !suspect && !slot.anew && !self.starts && self.settled && self.profile.is_steady();
+        let settled = same
+            && !suspect
+            && carried.is_none()
+            && !slot.anew
+            && !self.starts
+            && self.settled
+            && self.profile.is_steady();
         if !settled && !self.watch_start(&front, suspect, slot) {
             return;
         }
@@ -88,10 +100,10 @@ impl Station {
         report.current = view.current().map_or(report.current, |current| f64::from(current) * 1e-3);
         report.warning = view.warn().map_or(report.warning, |warning| u32::from(warning.0));
         if !settled {
-            self.prove(at, view, &front, suspect, slot);
+            self.prove(at, view, &front, suspect, carried, slot);
         }
         if !suspect && (!self.idle || self.shows) {
-            self.take_config(view, slot);
+            self.take_config(view, carried.is_some(), slot);
         }
         self.native.publish(at, view.bytes());
     }
@@ -129,7 +141,15 @@ impl Station {
 
     /// What the states of a reply report and prove.
     #[inline(never)]
-    fn prove(&mut self, at: Time, view: &ResponseView<'_>, front: &Front, suspect: bool, slot: &mut Slot) {
+    fn prove(
+        &mut self,
+        at: Time,
+        view: &ResponseView<'_>,
+        front: &Front,
+        suspect: bool,
+        carried: Option<Carried>,
+        slot: &mut Slot,
+    ) {
         let Slot { status: report, notices, evidence, .. } = slot;
         let Front { status, state, .. } = *front;
         if !suspect {
@@ -140,13 +160,16 @@ impl Station {
         let named = self.error.is_some();
         self.inputs =
             Inputs { seen: true, foreign, booting, named, status, state, demand: self.inputs.demand };
-        self.profile.take(&self.inputs, !suspect, evidence);
+        match carried {
+            None => self.profile.take(&self.inputs, !suspect, evidence),
+            Some(carried) => self.profile.take_earlier(&self.inputs, &carried, !suspect, evidence),
+        }
         report.suspect = suspect;
         report.state = drive_state(status, state, booting);
         report.homed = status.homed();
         if !suspect {
             // A reply to an earlier request may answer another control word.
-            report.inhibited = self.profile.inhibited(at, &self.inputs);
+            report.inhibited = self.profile.inhibited(at, &self.inputs, carried);
         }
         report.moving = self.inputs.moving();
         report.in_target = status.in_target();
@@ -156,7 +179,7 @@ impl Station {
 
     /// The monitored values, and the answer on the real-time-config channel.
     #[inline(never)]
-    fn take_config(&mut self, view: &ResponseView<'_>, slot: &mut Slot) {
+    fn take_config(&mut self, view: &ResponseView<'_>, is_earlier: bool, slot: &mut Slot) {
         // The values first: they were taken before the answer that reports the change of their sources.
         if let Some(raw) = view.monitor().filter(|_| self.shows) {
             let value = |channel: usize| match self.monitor {
@@ -171,8 +194,8 @@ impl Station {
             slot.notices.monitor_fresh = true;
         }
         match view.config() {
-            Some(block) => self.rtc.take(block),
-            None => self.rtc.take_none(),
+            Some(block) => self.rtc.take(block, is_earlier),
+            None => self.rtc.take_none(is_earlier),
         }
         if let Some(refused) = self.rtc.take_monitor_refusal() {
             slot.notices.monitor_refused = Some(refused);

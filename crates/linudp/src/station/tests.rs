@@ -60,7 +60,8 @@ impl Bench {
     /// The next request goes out.
     fn send(&mut self) -> Request {
         self.request = self.build();
-        self.station.sent(self.cycle.grid, self.cycle.deadline, &mut self.slot);
+        self.station.owe(&mut self.slot);
+        self.station.sent(self.cycle.grid, &self.cycle, &mut self.slot);
         self.machine.commit(self.cycle.grid);
         self.request
     }
@@ -170,7 +171,7 @@ fn every_fourth_probe_that_goes_out_has_all_blocks() {
             let request = Request::parse(&out[..length]).unwrap();
             assert_eq!(request.motion.is_some() && request.config.is_some(), probe % 4 == 0, "{probe}");
         }
-        station.sent(Time(0), Time(1), &mut slot);
+        station.sent(Time(0), &cycle, &mut slot);
     }
 }
 

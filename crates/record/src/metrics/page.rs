@@ -126,7 +126,7 @@ const DRIVE: [Field<DriveEnd>; 17] = [
     (Count, "drive_requests_unsent", UNSENT, |of| of.counters.unsent),
     (Count, "drive_replies_in_time", "Requests answered in time.", |of| of.counters.answered),
     (Count, "drive_replies_missed", "Requests not answered in time.", |of| of.counters.missed),
-    (Count, "drive_replies_late", "Replies after the receive deadline.", |of| of.counters.late),
+    (Count, "drive_replies_late", "Replies after their time.", |of| of.counters.late),
     (Count, "drive_replies_duplicate", "Duplicate replies.", |of| of.counters.duplicate),
     (Count, "drive_replies_suspect", SUSPECT, |of| of.counters.suspect),
     (Count, "drive_reports_implausible", IMPLAUSIBLE, |of| of.counters.implausible),

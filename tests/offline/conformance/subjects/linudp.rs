@@ -75,7 +75,8 @@ impl Subject for LinUdp {
         let drive = |(index, drive): (usize, &Drive)| {
             let mut plan = LinUdpDrive::new(&drive.axis.name, *address(index).ip());
             plan.axis = drive.axis.clone();
-            plan.reply_tag = self.reply_tag;
+            // As without a tag: a later reply is late.
+            (plan.reply_tag, plan.reply_within) = (self.reply_tag, Some(1));
             plan.leash = drive.jog.then_some(20.0);
             plan.stream = plan.stream.filter(|_| drive.follow);
             plan

@@ -135,7 +135,7 @@ impl Machine {
             (axis.divisor, axis.phase) = (divisor, random.u32(..divisor));
             axis.health = Health {
                 bucket: random.u32(1..=8),
-                leak: random.u32(5..30),
+                leak: random.u32(1..30),
                 gate: random.u32(1..8),
                 probe_interval: Duration::from_millis(random.u64(10..60)),
             };
@@ -148,6 +148,12 @@ impl Machine {
                 ..axis.stop
             };
             drive.reply_tag = pick(&mut random, &ReplyTag::WORDS).1;
+            let most = if drive.reply_tag == ReplyTag::Off { 1 } else { 4 };
+            if drive.reply_tag == ReplyTag::Off {
+                // Of replies that are always one behind every second one passes for the newest.
+                drive.axis.health.leak = drive.axis.health.leak.max(2);
+            }
+            drive.reply_within = pick(&mut random, &[None, Some(1), Some(most)]);
             drive.stream = Some(pick(&mut random, &[StreamCommand::Pva, StreamCommand::PvConfigured]))
                 .filter(|command| command.takes(every_ns));
             drive.simulate.stream_period_ns = every_ns;
@@ -156,7 +162,9 @@ impl Machine {
         let b = rig.start();
         task.lock().unwrap().world = Some(b.world());
         let plans: Vec<&AxisPlan> = b.drives.iter().map(|drive| &drive.axis).collect();
-        let stated = plans.iter().map(|axis| stop_bound_cycles(axis, &plans)).collect();
+        let stated = b.drives.iter();
+        let stated =
+            stated.map(|drive| stop_bound_cycles(&drive.axis, &plans, drive.replies_within())).collect();
         let mut groups: BTreeMap<(Option<u16>, usize), Vec<usize>> = BTreeMap::new();
         for (index, axis) in plans.iter().enumerate() {
             let alone = if axis.stop.group.is_none() { index } else { 0 };
@@ -233,8 +241,9 @@ impl Machine {
         // An exchange is good by its reply, whether the report in it counts or not.
         while let Ok(records) = self.tap.next(Duration::ZERO) {
             for record in records.iter() {
+                // One with a round trip was answered, whatever was missed in the same cycle.
                 if let Record::Drive(drive) = record
-                    && matches!(drive.reply, Reply::Answered | Reply::Suspect)
+                    && (drive.reply == Reply::Suspect || drive.rtt_ns.is_some())
                 {
                     self.watches[usize::from(drive.axis)].good_at = drive.index;
                 }
@@ -447,8 +456,9 @@ impl Machine {
                     plan(FaultPlan { seed, drop: 0.5 + self.random.f64() / 2.0, ..FaultPlan::default() })
                 }
                 Late => {
-                    // Behind the deadline of its cycle, up to the windows of later ones.
-                    let answer_ns = self.b.period_ns * self.random.u64(6..25) / 10;
+                    // Behind the deadline of the last cycle in which it counts, up to the windows of later ones.
+                    let beyond = u64::from(self.b.drives[axis].replies_within() - 1);
+                    let answer_ns = self.b.period_ns * (10 * beyond + self.random.u64(6..25)) / 10;
                     plan(FaultPlan { answer_ns, ..FaultPlan::default() });
                 }
                 DriveError => {

@@ -33,7 +33,7 @@ impl<C: Clock> Engine<C> {
         for (controller, slot) in self.controllers.iter_mut().zip(&mut self.slots) {
             let reply = controller.evaluate(cycle, now, slot);
             if reply == Reply::Missed {
-                self.status.missed += 1;
+                self.status.missed += controller.take_misses();
                 missed += u16::from(controller.was_online());
             }
             stopped |= controller.takes_along();

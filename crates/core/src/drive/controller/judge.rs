@@ -4,6 +4,7 @@ use super::duty::Claim;
 use super::watch::Braked;
 use super::{Along, Closed, DriveController, acts};
 use crate::axis::{DriveStatus, EventKind, Link, State, StopCause};
+use crate::bus::contract::Ended;
 use crate::bus::{Cycle, Exchange, Slot};
 use crate::drive::bounds::Sample;
 use crate::drive::numbers::Extent;
@@ -71,6 +72,7 @@ impl DriveController {
         self.measured.was_online = self.feedback.link == Link::Online;
         let jumped = if slot.notices.fresh { self.weigh(slot) } else { None };
         let mut rtt = None;
+        let earlier = if slot.has_earlier { Some(self.judge_earlier(cycle, now, slot)) } else { None };
         // The usual end of an exchange, in a cycle that has one.
         let reply = if let Exchange::Answered { sent_at, at, suspect: false } = slot.exchange {
             slot.exchange = Exchange::Idle;
@@ -94,9 +96,14 @@ impl DriveController {
             self.take_packet(slot);
             Reply::Current
         } else {
-            let reply = self.judge_otherwise(cycle, now, slot);
+            let taken = earlier.is_some_and(|earlier| earlier.reported.is_some());
+            let reply = self.judge_otherwise(cycle, now, slot, taken);
             self.health.watch_silence(cycle.index);
             reply
+        };
+        let reply = match &earlier {
+            None => reply,
+            Some(earlier) => self.with_earlier(reply, earlier, &mut rtt),
         };
         self.measured.reply = reply;
         if slot.reachable {
@@ -107,6 +114,9 @@ impl DriveController {
             self.bounds.forget();
         }
         self.take_status(cycle, now, slot, rtt);
+        if let Some(sent_at) = earlier.and_then(|earlier| earlier.reported) {
+            self.grow_older(cycle, sent_at);
+        }
         self.take_link(cycle, now, slot);
         if let Some(by) = jumped {
             self.jump(cycle, now, by);
@@ -121,12 +131,65 @@ impl DriveController {
         reply
     }
 
-    /// No exchange was answered for certain.
+    /// The exchanges of earlier cycles, oldest first: those whose time is up, and those that were answered.
+    #[cold]
+    fn judge_earlier(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) -> EndedEarlier {
+        let Ended { missed, answered, rtt_ns, sent_at } = slot.earlier.end(cycle);
+        slot.has_earlier = !slot.earlier.open().is_empty();
+        slot.counters.missed += u64::from(missed);
+        (0..missed).for_each(|_| self.missed(cycle, now));
+        if answered > 0 {
+            (0..answered).for_each(|_| self.health.answered(cycle.index));
+            self.closed = self.closed.or(Some(Closed::Answered));
+            self.peaks.rtt.see(rtt_ns, cycle.index);
+            self.measured.rtt_ns = measured(rtt_ns);
+        }
+        // The reply to a newer request has replaced what they report.
+        let reported = match slot.exchange {
+            Exchange::Answered { suspect: false, .. } => None,
+            _ => Some(sent_at).filter(|_| answered > 0 && slot.notices.fresh),
+        };
+        if reported.is_some() && !slot.notices.restarted {
+            self.take_sample(sent_at, slot);
+        }
+        EndedEarlier { missed, answered, rtt_ns, reported }
+    }
+
+    /// How a cycle ended in which exchanges of earlier ones ended, too.
+    #[cold]
+    fn with_earlier(&mut self, reply: Reply, earlier: &EndedEarlier, rtt: &mut Option<u32>) -> Reply {
+        let EndedEarlier { missed, answered, rtt_ns, .. } = *earlier;
+        self.misses = missed + u32::from(reply == Reply::Missed);
+        if answered > 0 {
+            self.measured.rtt_ns = self.measured.rtt_ns.max(measured(rtt_ns));
+            *rtt = rtt.or(Some(short(rtt_ns)));
+        }
+        match reply {
+            _ if missed > 0 => {
+                self.closed = Some(Closed::Missed);
+                Reply::Missed
+            }
+            Reply::None | Reply::Owed if answered > 0 => Reply::Answered,
+            _ => reply,
+        }
+    }
+
+    /// The newest report is that of a request of an earlier cycle.
+    #[cold]
+    fn grow_older(&mut self, cycle: &Cycle, sent_at: Time) {
+        let age = cycle.grid.since(sent_at).div_ceil(cycle.period_ns.max(1)).min(self.fresh_at);
+        self.fresh_at -= age;
+        self.feedback.age = self.feedback.age.saturating_add(u32::try_from(age).unwrap_or(u32::MAX));
+    }
+
+    /// No exchange was answered for certain. The report was `taken` with an earlier one.
     #[inline(never)]
-    fn judge_otherwise(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) -> Reply {
+    fn judge_otherwise(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot, taken: bool) -> Reply {
         match slot.exchange {
             Exchange::Idle | Exchange::Missed => {
-                self.take_packet(slot);
+                if !taken {
+                    self.take_packet(slot);
+                }
                 Reply::None
             }
             Exchange::Queued => Reply::Queued,
@@ -312,6 +375,16 @@ impl DriveController {
             _ => {}
         }
     }
+}
+
+/// What ended in a cycle besides its own exchange.
+#[derive(Clone, Copy, Debug)]
+struct EndedEarlier {
+    missed: u32,
+    answered: u32,
+    rtt_ns: u64,
+    /// The status of this cycle is that of a request which was sent then, in an earlier one.
+    reported: Option<Time>,
 }
 
 /// What of a status is reported when it changes.

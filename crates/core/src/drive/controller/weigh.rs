@@ -71,9 +71,10 @@ impl DriveController {
     pub(super) fn weigh(&mut self, slot: &mut Slot) -> Option<f64> {
         let (status, before) = (&slot.status, &self.feedback.status);
         let sent_at = match slot.exchange {
-            Exchange::Answered { sent_at, .. } => sent_at,
-            // It has a stamp of its own.
-            _ => status.at,
+            Exchange::Answered { sent_at, suspect: false, .. } => sent_at,
+            Exchange::Answered { sent_at, .. } => slot.earlier_answered().unwrap_or(sent_at),
+            // It has a stamp of its own, or is that of an earlier cycle.
+            _ => slot.earlier_answered().unwrap_or(status.at),
         };
         let same = (status.state, status.inhibited, status.homed, status.suspect)
             == (before.state, before.inhibited, before.homed, false);

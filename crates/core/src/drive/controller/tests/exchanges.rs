@@ -38,6 +38,59 @@ fn a_drive_with_its_own_clock_is_answered_while_its_newest_packet_counts() {
 }
 
 #[test]
+fn a_reply_of_a_later_cycle_is_feedback_with_its_age_and_a_miss_is_known_when_its_time_is_up() {
+    let mut x = Alone::new(plan()).online();
+    x.controller.publish(0);
+    let before = x.slot.counters;
+    let owed = |now: Time| Exchange::Owed { sent_at: now + US, reply_by: now + MS * 3 / 2, awaited: true };
+    // What the bus does before it sends: the exchange of the cycle before is one of an earlier cycle.
+    let passed = |x: &mut Alone, answered: bool| {
+        let (sent_at, reply_by) = (Time(x.index * MS) + US, Time(x.index * MS) + MS * 3 / 2);
+        x.slot.earlier.owe(sent_at, reply_by);
+        x.slot.has_earlier = true;
+        assert!(!answered || x.slot.earlier.answer(sent_at, sent_at + MS));
+    };
+    let record = turn(&mut x, false, owed);
+    assert_eq!((record.reply, record.rtt_ns, x.controller.feedback().age), (Reply::Owed, None, 1));
+    let closed = |now| Exchange::Answered { sent_at: now + US, at: now + 3 * US, suspect: false };
+    for (what, answered, fresh, exchange, reply, rtt_ns, age, missed) in [
+        (
+            "the reply to the one before",
+            true,
+            true,
+            &owed as &dyn Fn(Time) -> Exchange,
+            Reply::Answered,
+            MS,
+            1,
+            0,
+        ),
+        ("both", true, true, &closed, Reply::Answered, MS, 0, 0),
+        ("the one before is lost", false, true, &closed, Reply::Missed, 2 * US, 0, 1),
+        ("a copy in disorder that shows nothing new", true, false, &owed, Reply::Answered, MS, 1, 0),
+        ("none", false, false, &owed, Reply::Missed, 0, 2, 1),
+    ] {
+        let c = x.slot.counters;
+        passed(&mut x, answered);
+        let record = turn(&mut x, fresh, exchange);
+        let rtt_ns = if rtt_ns > 0 { measured(rtt_ns) } else { None };
+        assert_eq!((record.reply, record.rtt_ns), (reply, rtt_ns), "{what}");
+        assert_eq!((x.controller.feedback().age, x.slot.counters.missed - c.missed), (age, missed), "{what}");
+        assert!(!x.slot.has_earlier && x.controller.feedback().link == Link::Online, "{what}");
+    }
+    assert_eq!(x.slot.counters.missed - before.missed, 2);
+    // The bucket is judged oldest first, and what was answered in the cycle of the loss does not hold up the stop.
+    while x.controller.feedback().link == Link::Online {
+        passed(&mut x, false);
+        let exchange: &dyn Fn(Time) -> Exchange =
+            if x.slot.counters.missed - before.missed > 4 { &closed } else { &owed };
+        turn(&mut x, false, exchange);
+        assert!(x.index < 100, "it is not lost");
+    }
+    assert_eq!((x.controller.feedback().link, x.stopped()), (Link::Lost, Some(StopCause::LinkLost)));
+    assert!(x.controller.is_due(x.index + 1), "the stop request leaves with the next slot");
+}
+
+#[test]
 fn a_packet_counts_for_the_limits_whether_an_exchange_was_due_or_not() {
     for due in [false, true] {
         let mut x = ranged();
