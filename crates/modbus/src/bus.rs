@@ -12,7 +12,7 @@ use super::mapping::Mapping;
 use super::notation::Parameters;
 use super::plan::{ModbusPlan, UnidriveDrive, Via};
 use super::profile;
-use super::station::{SILENT, Station};
+use super::station::{BROKE, SILENT, Station};
 use super::trips::Trip;
 use fieldbeat_core::axis::acyclic::Notation;
 use fieldbeat_core::axis::feedback::MONITOR_CHANNELS;
@@ -161,7 +161,7 @@ impl Notes for ConnectionNotes {
     }
 
     fn is_vague(&self, index: usize) -> bool {
-        self.0.get(index).is_some_and(|why| why.ends_with(SILENT))
+        self.0.get(index).is_some_and(|why| [SILENT, BROKE].iter().any(|vague| why.ends_with(vague)))
     }
 }
 

@@ -47,8 +47,8 @@ pub const DIAGNOSIS: [Row; 7] = [
     WRONG_ID,
     REFUSED,
     Row {
-        symptom: "`late` is most of `missed`, and more than `given_up`",
-        holds: |of| of.mostly(of.counters.late) && of.counters.late > own(of, Own::GivenUp),
+        symptom: "`late` is most of `missed`, more than `given_up`, and more than one",
+        holds: |of| of.mostly(of.counters.late) && of.counters.late > own(of, Own::GivenUp).max(1),
         says: "its replies come later than reply_within",
         remedy: "raise reply_within, and with it watchdog.timeout",
     },

@@ -259,7 +259,7 @@ impl UnidriveHandshake {
             self.finding.duplicates = self.finding.duplicates.saturating_add(1);
             return HandshakeState::More;
         }
-        HandshakeState::Failed(WRONG_ID.to_string())
+        HandshakeState::Failed(WRONG_ID.with(&format_args!("{} in place of {open}", header.transaction)))
     }
 
     /// Takes the answer of the present step, and continues with the next one.

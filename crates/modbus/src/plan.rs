@@ -215,8 +215,8 @@ impl ModbusPlan {
 }
 
 impl UnidriveDrive {
-    /// The largest serial number: eighteen digits.
-    pub const SERIAL_MAX: u64 = 999_999_999_999_999_999;
+    /// No serial number is larger: eighteen digits.
+    pub const SERIAL_MAX: u64 = 1_000_000_000_000_000_000;
     /// What the higher part of a serial number counts.
     #[doc(hidden)]
     pub const SERIAL_PART: u64 = 1_000_000_000;

@@ -2,7 +2,7 @@
 //! note.
 
 use super::counters::Own;
-use fieldbeat_core::bus::diagnosis::{Row, Symptoms};
+use fieldbeat_core::bus::diagnosis::{Row, Symptoms, is_most};
 
 /// The most specific symptoms first.
 pub const DIAGNOSIS: [Row; 5] = [
@@ -13,27 +13,21 @@ pub const DIAGNOSIS: [Row; 5] = [
         remedy: "raise latency, which an adapter on USB or the network needs, or bits.slot",
     },
     Row {
-        symptom: "`wrong_check`, `wrong_length`, `wrong_start` and `wrong_end` are more than `slot_times`",
-        holds: |of| damaged(of) > own(of, Own::SlotTimes),
+        symptom: "`wrong_check`, `wrong_length`, `wrong_start` and `wrong_end` are most of `slot_times`",
+        holds: |of| is_most(damaged(of), own(of, Own::SlotTimes)),
         says: "its answers arrive damaged",
         remedy: "look at wiring, termination and shield, at the rate, and whether two drives have its \
                  address",
     },
     Row {
-        symptom: "`wrong_answer` is most of `missed` and more than `slot_times`",
-        holds: |of| {
-            let count = own(of, Own::WrongAnswer);
-            of.mostly(count) && count > own(of, Own::SlotTimes)
-        },
+        symptom: "`wrong_answer` is most of `missed` and of `slot_times`",
+        holds: |of| is_cause(of, own(of, Own::WrongAnswer)),
         says: "it answers with SC, or with another length, in place of its inputs",
         remedy: "look at configuration, and at the process data that the drive is set to",
     },
     Row {
-        symptom: "`wrong_station` is most of `missed` and more than `slot_times`",
-        holds: |of| {
-            let count = own(of, Own::WrongStation);
-            of.mostly(count) && count > own(of, Own::SlotTimes)
-        },
+        symptom: "`wrong_station` is most of `missed` and of `slot_times`",
+        holds: |of| is_cause(of, own(of, Own::WrongStation)),
         says: "another station answers in its place",
         remedy: "look for two drives with one address, and at bits.max_tsdr",
     },
@@ -47,6 +41,11 @@ pub const DIAGNOSIS: [Row; 5] = [
 
 fn own(of: &Symptoms<'_>, counter: Own) -> u64 {
     of.own(counter as usize)
+}
+
+/// So many answers, each of which may have been followed by a slot time, explain what was missed.
+fn is_cause(of: &Symptoms<'_>, count: u64) -> bool {
+    of.mostly(count) && is_most(count, own(of, Own::SlotTimes))
 }
 
 fn damaged(of: &Symptoms<'_>) -> u64 {

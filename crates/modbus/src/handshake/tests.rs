@@ -108,13 +108,16 @@ fn a_drive_that_stays_busy_and_a_peer_that_answers_something_else_are_named() {
     type Change<'a> = &'a dyn Fn(usize, &[u8], Vec<u8>) -> Vec<u8>;
     let cases: [(Change<'_>, &str); 4] = [
         (&|_, _, reply| exception(6, &reply), "the drive is busy all the time: exception 06h"),
-        (&|_, _, reply| [&[0x12, 0x34], &reply[2..]].concat(), "with transaction id 4660"),
+        (
+            &|_, _, reply| [&[0x12, 0x34], &reply[2..]].concat(),
+            "with another transaction id than the request has: 4660 in place of ",
+        ),
         (
             &|_, _, mut reply| {
                 reply[1] += 1;
                 reply
             },
-            "the peer answers request",
+            "with another transaction id than the request has: ",
         ),
         // The reply to a request that has not left.
         (
@@ -123,7 +126,7 @@ fn a_drive_that_stays_busy_and_a_peer_that_answers_something_else_are_named() {
                 next[1] += 1;
                 [reply, next].concat()
             },
-            "the peer answers request",
+            "with another transaction id than the request has: ",
         ),
     ];
     for (change, expected) in cases {

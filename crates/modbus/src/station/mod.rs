@@ -203,8 +203,9 @@ impl Blocks {
 
 /// Why a connection has to be given up.
 pub type Why = &'static str;
-/// What was counted says more than this.
+/// What was counted says more than these.
 pub(super) const SILENT: Why = "a request was not answered within twice its time";
+pub(super) const BROKE: Why = "the connection broke";
 
 impl Station {
     /// The station of `drive`, and the application's ends of its native process
@@ -341,7 +342,7 @@ impl Station {
             Broken::Closed => {
                 "the drive has closed the connection; end other masters and tools that are connected to it"
             }
-            _ => "the connection broke",
+            _ => BROKE,
         }
     }
 
