@@ -30,9 +30,8 @@ pub struct Watch {
     reset_at: u64,
     /// Enabled, and neither stopped nor disabled since.
     armed: bool,
-    /// The last request that went out.
-    requested: Option<Request>,
-    asked_at: Time,
+    /// The last requests that went out, the newest one last: as many as may be answered, before it or with it.
+    requested: Vec<(Time, Request)>,
     /// The last control word that went out.
     word: Option<ControlWord>,
     /// The control word may be the application's own.
@@ -65,8 +64,7 @@ impl Watch {
             stopped_at: 0,
             reset_at: 0,
             armed: false,
-            requested: None,
-            asked_at: Time(0),
+            requested: Vec::new(),
             word: None,
             wild: false,
             acknowledging: false,
@@ -99,7 +97,10 @@ impl Watch {
         self.sent += 1;
         let request = Request::parse(&requested.bytes).expect("what the master sends is a request");
         let said = self.word;
-        (self.requested, self.asked_at) = (Some(request), requested.at);
+        self.requested.push((requested.at, request));
+        if self.requested.len() > self.within() + 1 {
+            self.requested.remove(0);
+        }
         self.word = request.control.or(said);
         let on = |word: Option<ControlWord>| word.is_some_and(|word| word.has(ControlWord::SWITCH_ON));
         if self.deaf {
@@ -285,8 +286,10 @@ impl Watch {
         }
         let said = |came: &Came| {
             let reply = Response::parse(&came.bytes).ok()?;
-            (came.at == feedback.status.at && came.in_window && !came.truncated && self.is_echo(&reply))
-                .then_some(reply)
+            let requested = self.requested.iter().rev().filter(|(at, _)| *at <= came.at).take(self.within());
+            let is_echo =
+                requested.map(|(_, requested)| requested).any(|requested| self.is_echo(requested, &reply));
+            (came.at == feedback.status.at && !came.truncated && is_echo).then_some(reply)
         };
         let replies: Vec<Response> = came.iter().filter_map(said).collect();
         self.reply = replies.iter().find(|reply| self.is_told(&feedback, reply)).copied();
@@ -306,13 +309,15 @@ impl Watch {
         self.datagrams += came as u64;
     }
 
-    fn is_echo(&self, reply: &Response) -> bool {
+    fn within(&self) -> usize {
+        self.drive.replies_within() as usize
+    }
+
+    fn is_echo(&self, requested: &Request, reply: &Response) -> bool {
         let counted = self.drive.reply_tag == ReplyTag::Count;
         let tag = |config: Option<RtcBlock>| config.filter(|_| counted).map(|block| block.count());
-        self.requested.is_some_and(|requested| {
-            (requested.definition(), requested.response_def, tag(requested.config))
-                == (reply.request_def, reply.response_def, tag(reply.config))
-        })
+        (requested.definition(), requested.response_def, tag(requested.config))
+            == (reply.request_def, reply.response_def, tag(reply.config))
     }
 
     fn is_told(&self, feedback: &Feedback, reply: &Response) -> bool {
@@ -355,6 +360,6 @@ impl Watch {
     /// Whether the last word to the drive has left it switched on, although it could be told something since `since`.
     pub fn is_left_on(&self, since: Time) -> bool {
         let on = self.word.is_some_and(|word| word.has(ControlWord::SWITCH_ON));
-        on && !self.wild && self.asked_at >= since
+        on && !self.wild && self.requested.last().is_some_and(|(at, _)| *at >= since)
     }
 }
