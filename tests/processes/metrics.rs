@@ -128,8 +128,7 @@ fn a_scrape_tells_what_the_summary_tells_later() {
     for stage in ["send", "receive", "evaluate", "commands", "prepare", "publish"] {
         second.buckets("fieldbeat_stage_seconds", &format!("stage=\"{stage}\""));
     }
-    // LinMots have no counters of their own.
-    assert_eq!((second.count("_not_connected"), second.count("_protocol_events")), (2, 0));
+    assert_eq!((second.count("_not_connected"), second.count("_protocol_events")), (2, 2));
     let summary = finish(program);
     for (drive, name) in ["d0", "d1"].into_iter().enumerate() {
         let label = format!("drive=\"{name}\"");

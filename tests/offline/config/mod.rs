@@ -460,7 +460,7 @@ fn the_samples_tell_the_truth() {
 
 #[test]
 fn a_sample_with_the_keys_of_the_rules_before_has_the_links_of_before() {
-    let sample = include_str!("../../rt-config/linmot.toml");
+    let sample = include_str!("../../../rt-config/linmot.toml");
     let before = sample
         .replace("# health.leak = 1\n", "health.leak = 20\n")
         .replace("# reply_within = 2\n", "reply_within = 1\n");

@@ -58,8 +58,8 @@ pub trait BusPlan: Any + Debug + Send + Sync {
         None
     }
 
-    /// For how many cycles a reply of drive `index` counts, that of its request included, although the next request does
-    /// not wait for it.
+    /// For how many cycles a reply of drive `index` counts, that of its request included. The next request does not
+    /// wait for it.
     fn reply_within(&self, _index: usize) -> u32 {
         1
     }

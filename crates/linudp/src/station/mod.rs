@@ -288,7 +288,9 @@ impl Station {
         if !in_window {
             self.owe(slot);
         }
-        if slot.has_earlier && let Some((place, _)) = self.identity.earlier(view) {
+        if slot.has_earlier
+            && let Some((place, _)) = self.identity.earlier(view)
+        {
             if !self.identity.answer_earlier(place) {
                 self.who.take(view.config());
             }
