@@ -126,9 +126,10 @@ impl LinkHealth {
     #[inline]
     pub fn answered(&mut self, index: u64) {
         self.good_at = index;
-        self.good += 1;
-        // Usually it is up, and nothing leaks yet.
-        if self.link != Link::Online || self.good >= self.leak {
+        // With an empty bucket it may begin again at 0.
+        self.good = self.good.wrapping_add(1);
+        // Usually it is up, and there is nothing that leaks.
+        if self.link != Link::Online || self.level > 0 && self.good >= self.leak {
             self.improve(index);
         }
     }
