@@ -191,7 +191,6 @@ pub struct Came {
     pub at: Time,
     pub bytes: Vec<u8>,
     pub truncated: bool,
-    pub in_window: bool,
 }
 
 /// What passed the master's socket since it was last looked at.
@@ -203,14 +202,12 @@ pub struct Wire {
     pub refused: Vec<u64>,
     /// To these axes nothing can be sent.
     pub jammed: Vec<bool>,
-    sent: bool,
 }
 
 impl Wire {
     pub fn clear(&mut self) {
         self.requested.clear();
         self.came.clear();
-        self.sent = false;
     }
 }
 
@@ -291,7 +288,6 @@ impl Datagrams for TappedCarrier {
         }
         self.inner.send(outbox);
         let mut wire = self.wire();
-        wire.sent = true;
         for axis in posted {
             match outbox.sent(axis) {
                 Sent::At(at) => {
@@ -306,13 +302,11 @@ impl Datagrams for TappedCarrier {
         let wire = Arc::clone(&self.wire);
         self.inner.receive(&mut |received| {
             let mut wire = wire.lock().unwrap();
-            let in_window = wire.sent;
             wire.came.push(Came {
                 from: received.from,
                 at: received.at,
                 bytes: received.bytes.to_vec(),
                 truncated: received.truncated,
-                in_window,
             });
             drop(wire);
             take(received);
