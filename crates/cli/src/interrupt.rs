@@ -11,6 +11,7 @@ use std::time::Duration;
 
 use fieldbeat_master::{ENDING, StopHandle, action_of};
 use libc::c_int;
+use nix::sys::signal::{SigSet, SigmaskHow};
 use signal_hook::consts::{SIGTSTP, SIGTTIN, SIGTTOU, SIGUSR1, SIGXFSZ};
 
 use super::complain;
@@ -27,8 +28,16 @@ pub struct Interrupt {
 }
 
 impl Interrupt {
-    /// Catches the signals from here on.
+    /// Catches the signals from here on. There is no other thread yet.
     pub fn catch() -> std::io::Result<Interrupt> {
+        // One that came between the system call and the entry of its flags would be lost: it waits for both.
+        let before = SigSet::all().thread_swap_mask(SigmaskHow::SIG_BLOCK)?;
+        let interrupt = Interrupt::register();
+        before.thread_set_mask()?;
+        interrupt
+    }
+
+    fn register() -> std::io::Result<Interrupt> {
         let interrupt = Interrupt { fresh: Arc::default(), ever: Arc::default(), black_box: Arc::default() };
         let real_time = libc::SIGRTMIN()..=libc::SIGRTMAX();
         for signal in ENDING.into_iter().chain([libc::SIGABRT]).chain(real_time) {
