@@ -20,7 +20,7 @@ pub fn reachable(table: &mut Table<'_>, bind: Option<Ipv4Addr>, address: SocketA
 /// The drives of a bus, each over its `[bus.defaults]`; `read` gets its place, too.
 pub fn drives<D>(bus: &mut Table<'_>, mut read: impl FnMut(&mut Table<'_>, usize) -> D) -> Vec<D> {
     let mut drives = Vec::new();
-    for (index, mut table) in drive_tables(bus, &["name", "address"]).into_iter().enumerate() {
+    for (index, mut table) in drive_tables(bus, &["name", "address", "serial"]).into_iter().enumerate() {
         drives.push(read(&mut table, index));
         table.finish();
     }

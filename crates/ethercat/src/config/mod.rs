@@ -55,6 +55,9 @@ pub const SPECIMEN: &str = "interface = \"local:x\"\n[[bus.drive]]\nname = \"x\"
      outputs = {}\ninputs = {}\nmailbox = {}\nsimulate = { behind = {}, outputs = {}, inputs = {} }\n\
      [[bus.device]]\nname = \"z\"\noutputs = [{}]\ninputs = [{}]\n";
 
+/// What no two drives have in common.
+const OWN: &[&str] = &["name", "position", "serial", "alias", "identification"];
+
 /// Reads a `[[bus]]`.
 pub fn bus(table: &mut Table<'_>, machine: &mut Machine) -> Box<dyn BusPlan> {
     let name = machine.bus_name(table, PROTOCOL);
@@ -62,7 +65,7 @@ pub fn bus(table: &mut Table<'_>, machine: &mut Machine) -> Box<dyn BusPlan> {
     let is_known = !interface.is_empty();
     // Terminals alone are a segment, too.
     let of_drives = if table.gives("device") { drive_tables_if_any } else { drive_tables };
-    let (mut drives, mut devices) = (of_drives(table, &["name", "position"]), table.tables("device"));
+    let (mut drives, mut devices) = (of_drives(table, OWN), table.tables("device"));
     let mut plan = EthercatPlan {
         name,
         ahead_of_sync_ns: table.time(
