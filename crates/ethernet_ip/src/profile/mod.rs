@@ -493,9 +493,9 @@ impl Profile {
             && self.motion_word(self.motion.value, seen) == Some(self.word)
     }
 
-    /// The motion is not sent any more.
+    /// The motion is not sent any more. One that power off has replaced was not refused.
     fn not_taken(&mut self) -> Step {
-        if !self.is_taken {
+        if !self.is_taken && self.power.value == Power::EnableOperation {
             self.refused = Some(Refused::NotTaken);
         }
         Step::Settled
@@ -533,5 +533,37 @@ impl Profile {
             // Something else is desired meanwhile.
             other => other,
         };
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::native::native;
+    use super::*;
+    use fieldbeat_core::bus::desired::Evidence;
+    use fieldbeat_core::time::MS;
+
+    #[test]
+    fn only_a_motion_that_no_other_power_has_replaced_was_not_taken() {
+        for power in [Power::EnableOperation, Power::Off, Power::QuickStop] {
+            let mut profile = Profile::new(&MoonsDrive::new("x", [10, 0, 0, 40].into()));
+            let (_native, mut port) = native();
+            let seen = Seen { any: true, status: status::ENABLED, ..Seen::default() };
+            let motion = Motion::Velocity { velocity: 2.0, acceleration: 50.0 };
+            let mut desired = Desired { motion: Intent { serial: 1, value: motion }, ..Desired::default() };
+            desired.power = Intent { serial: 1, value: Power::EnableOperation };
+            let mut evidence = Evidence::default();
+            for turn in 0..3_000 {
+                if turn == 20 {
+                    assert_eq!(profile.outputs.command, command::JOG);
+                    desired.power = Intent { serial: 2, value: power };
+                }
+                profile.encode(Time(turn * MS), &desired, &seen, &mut port);
+                profile.sent(&mut port);
+                profile.take(&seen, &mut evidence);
+            }
+            let refused = (power == Power::EnableOperation).then_some(Refused::NotTaken);
+            assert_eq!(evidence.refused, refused, "{power:?}");
+        }
     }
 }
