@@ -316,7 +316,8 @@ fn bucket(health: &Health, every_ns: u64) -> [String; 2] {
     let random = health.exchanges_to_loss(RANDOM_LOSS);
     let exchanges = if random < 1e15 { format!("{:.0}", rounded(random)) } else { "10^15 or more".into() };
     let rule = format!(
-        "link up after {} good exchanges in a row; each miss puts one into a bucket, {out}, and at {} the link is lost",
+        "link up after {} good exchanges in a row; each miss puts one into a bucket, {out}, and at {} the link is lost \
+         (health)",
         health.gate, health.bucket,
     );
     let follows = format!(

@@ -395,9 +395,9 @@ impl MoonsDrive {
     fn describe_commands(&self, period_ns: u64) -> String {
         let rpi = self.rpi_ns(period_ns);
         format!(
-            "a command is held for {} and until its effect is seen, within {}, then idle for as long: two \
-             commands, and two velocities, are {} apart at least; a stop replaces one under way, and waits \
-             {} at most for that",
+            "a command is held for {} and until its effect is seen, within {} (effect_within; an absolute move \
+             and a jog are sent up to four times), then idle for as long: two commands, and two velocities, \
+             are {} apart at least; a stop replaces one under way, and waits {} at most for that",
             packets(self.hold),
             Ns(self.effect_within_ns),
             Ns(self.command_every_ns(period_ns)),

@@ -344,7 +344,7 @@ impl LinUdpDrive {
         lines.push(match self.replies_within() {
             1 => "a reply counts in the cycle of its request only".to_owned(),
             within => format!(
-                "a reply counts in the cycle of its request and in the next {}",
+                "a reply counts in the cycle of its request and in the next {} (reply_within)",
                 match within {
                     2 => "one".to_owned(),
                     _ => (within - 1).to_string(),

@@ -6,6 +6,7 @@ mod profibus;
 mod schema;
 mod soak;
 
+use std::collections::BTreeSet;
 use std::os::unix::fs::symlink;
 use std::path::Path;
 
@@ -179,6 +180,30 @@ fn a_plan_is_told_in_words() {
             }
         }
     }
+}
+
+/// The samples without their comments, as they were when replies of LinUDP counted in their own cycle only: what each
+/// does otherwise now (`+`), and the keys by which a drive does as before (`-`).
+#[test]
+fn samples_of_an_earlier_version_load_and_the_keys_of_the_changelog_restore_what_they_did() {
+    let cases = rows(include_str!("before.txt"));
+    for (name, keys, expected) in &cases {
+        let text = std::fs::read_to_string(format!("config/before/{name}.toml")).unwrap();
+        let restored = text.replace("[[bus.drive]]\n", &format!("[[bus.drive]]\n{keys}\n"));
+        let [now, before] = [text, restored].map(|text| describe(&read(&text)));
+        let only = |sign: &str, these: &[String], those: &[String]| -> Vec<String> {
+            // The next drives have the same lines; and what follows from the rule of a link is not its rule.
+            let is_rule = |line: &&String| !line.contains("one miss in ");
+            let only = these.iter().filter(|line| !those.contains(line)).filter(is_rule);
+            only.map(|line| format!("{sign} {}", line.trim_start()))
+                .collect::<BTreeSet<_>>()
+                .into_iter()
+                .collect()
+        };
+        let differs = [only("-", &before, &now), only("+", &now, &before)].concat();
+        assert_eq!(differs, *expected, "{name}");
+    }
+    assert_eq!(cases.len(), std::fs::read_dir("config/before").unwrap().count());
 }
 
 #[test]
