@@ -127,9 +127,11 @@ pub(super) struct UnidriveHandshake {
     units: Vec<u8>,
     unit: usize,
     step: Step,
-    /// The id of the last request; whether it has no reply yet, and how many there were on this connection.
+    /// The id of the last request; whether it has no reply yet, and a second one to an earlier request came in its
+    /// place; and how many there were on this connection.
     transaction: u16,
     is_open: bool,
+    is_mistaken: bool,
     requests: u16,
     /// There was a connection before.
     begun: bool,
@@ -165,6 +167,7 @@ impl UnidriveHandshake {
             step: Step::Unit,
             transaction: FIRST_ID,
             is_open: false,
+            is_mistaken: false,
             requests: 0,
             begun: false,
             busy_since: None,
@@ -190,7 +193,8 @@ impl UnidriveHandshake {
     /// The request of the present step.
     fn request(&mut self, out: &mut Vec<u8>) -> HandshakeState {
         self.transaction = self.transaction.wrapping_add(1);
-        (self.is_open, self.requests) = (true, self.requests.saturating_add(1));
+        (self.is_open, self.is_mistaken) = (true, false);
+        self.requests = self.requests.saturating_add(1);
         let mut data = RegistersBuffer::new();
         let read = |parameter: Parameter, width: Width| {
             let address = parameter.address(self.drive.addressing, width)?;
@@ -257,6 +261,7 @@ impl UnidriveHandshake {
         // Those of this connection have their replies, but for the open one.
         if before < self.requests && (before > 0 || !self.is_open) {
             self.finding.duplicates = self.finding.duplicates.saturating_add(1);
+            self.is_mistaken = self.is_open;
             return HandshakeState::More;
         }
         HandshakeState::Failed(WRONG_ID.with(&format_args!("{} in place of {open}", header.transaction)))
@@ -507,7 +512,8 @@ impl Handshake for UnidriveHandshake {
     }
 
     fn overdue(&self) -> Option<String> {
-        (self.step != Step::Unit).then(|| SLOW.to_string())
+        let row = if self.is_mistaken { WRONG_ID } else { SLOW };
+        (self.step != Step::Unit).then(|| row.to_string())
     }
 }
 

@@ -68,6 +68,9 @@ fn shake(via: Via, piece: usize, change: Change<'_>) -> (HandshakeState, Finding
             state = handshake.run(now, &mut out);
         }
     }
+    if state == HandshakeState::More {
+        state = HandshakeState::Failed(handshake.overdue().unwrap_or_default());
+    }
     (state, found.get(&InputLog::default()), server.requests)
 }
 
@@ -106,7 +109,7 @@ fn a_busy_drive_gets_its_request_again_and_second_replies_are_dropped() {
 #[test]
 fn a_drive_that_stays_busy_and_a_peer_that_answers_something_else_are_named() {
     type Change<'a> = &'a dyn Fn(usize, &[u8], Vec<u8>) -> Vec<u8>;
-    let cases: [(Change<'_>, &str); 4] = [
+    let cases: [(Change<'_>, &str); 6] = [
         (&|_, _, reply| exception(6, &reply), "the drive is busy all the time: exception 06h"),
         (
             &|_, _, reply| [&[0x12, 0x34], &reply[2..]].concat(),
@@ -119,6 +122,12 @@ fn a_drive_that_stays_busy_and_a_peer_that_answers_something_else_are_named() {
             },
             "with another transaction id than the request has: ",
         ),
+        // That of the request before, and nothing else; and nothing at all.
+        (
+            &|n, before, reply| if n == 3 { [&before[..2], &reply[2..]].concat() } else { reply },
+            "it answers with another transaction id than the request has: look",
+        ),
+        (&|n, _, reply| if n == 3 { Vec::new() } else { reply }, "it answers, and too late: "),
         // The reply to a request that has not left.
         (
             &|_, _, reply| {
