@@ -1,5 +1,8 @@
 //! Drives that are lost, come back, or were never there.
 
+use std::time::Duration;
+
+use fieldbeat::Master;
 use libc::{SIGCONT, SIGINT, SIGTERM};
 
 use super::support::{Machine, assert_sums, drive, most_probes};
@@ -91,6 +94,21 @@ fn a_dead_address_costs_the_living_nothing() {
     let dead = drive(&summary, "d2");
     assert_eq!(dead["unsent"], 0);
     assert!((1..=most_probes(&summary)).contains(&dead["sent"].as_u64().unwrap()), "{summary}");
+}
+
+#[test]
+fn a_run_and_a_program_that_waits_name_the_same_remedy_for_replies_that_are_late() {
+    let machine = Machine::new(185);
+    let late = "simulate = { delay = 1.0, delay_by = \"50ms\" }";
+    let config = machine.config("late.toml", 1, "", late);
+    let _sim = serve(&config);
+    let ended = master(&config, &["--for", "1s"]).end();
+    let said = ended.expect(1).err_but_host();
+    let why = said.trim_end().strip_prefix("fieldbeat: not online: ").unwrap_or_else(|| panic!("{said}"));
+    assert!(why.starts_with("d0 (its replies come too late: raise reply_within, "), "{why}");
+    let own = Master::from_file(&config).unwrap().start().unwrap();
+    let error = own.wait_online(Duration::from_secs(1)).unwrap_err();
+    assert_eq!(error.to_string(), format!("not online after 1s: {why}"));
 }
 
 /// Nobody else is there to take them: what `run` gets and shows is not lost.
