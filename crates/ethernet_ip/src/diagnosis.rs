@@ -4,7 +4,7 @@ use super::counters::Own;
 use fieldbeat_core::bus::diagnosis::{Row, Symptoms};
 
 /// The most specific symptoms first.
-pub const DIAGNOSIS: [Row; 6] = [
+pub const DIAGNOSIS: [Row; 7] = [
     Row {
         symptom: "`wrong_length` is a quarter of `missed`",
         holds: |of| comes(of, own(of, Own::WrongLength)),
@@ -28,6 +28,13 @@ pub const DIAGNOSIS: [Row; 6] = [
         holds: |of| comes(of, own(of, Own::WrongConnection)),
         says: "its packets are those of another connection",
         remedy: "end the other originator, or give this one another originator",
+    },
+    Row {
+        symptom: "`late` and `duplicate` are a quarter of `missed`",
+        holds: |of| comes(of, of.counters.late + of.counters.duplicate),
+        says: "its packets have numbers that were there before",
+        remedy: "look whether the network delivers old packets again, and whether the drive counts its \
+                 packets",
     },
     Row {
         symptom: "`missed` or `timed_out`, and nothing was ever answered",

@@ -386,6 +386,22 @@ fn of_a_moons() {
             },
             The("its packets are those of another connection"),
         ),
+        case(
+            true,
+            |_, packet| {
+                packet[10..14].copy_from_slice(&[1, 0, 0, 0]);
+                To::Master
+            },
+            The("its packets have numbers that were there before"),
+        ),
+        case(
+            true,
+            |count, packet| {
+                packet[10..14].copy_from_slice(&[1, 0, 0, 0]);
+                if count < 2 { To::Master } else { To::Nobody }
+            },
+            ENDED,
+        ),
         case(false, silence, The("it opens the connection, and no packet of it has ever come")),
         case(true, silence, ENDED),
         Case { unplugged: Some(0), ..case(false, nothing, Named("no answer from")) },
