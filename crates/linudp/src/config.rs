@@ -92,8 +92,8 @@ fn drive(table: &mut Table<'_>, machine: &mut Machine, bind: Option<SocketAddrV4
         axis,
     };
     // What says the same as a file without it is no other plan.
-    let drive =
-        LinUdpDrive { reply_within: drive.reply_within.filter(|within| !drive.is_usual(*within)), ..drive };
+    let usual = LinUdpDrive { reply_within: None, ..drive.clone() }.replies_within();
+    let drive = LinUdpDrive { reply_within: drive.reply_within.filter(|within| *within != usual), ..drive };
     table.later("simulate");
     for fault in drive.faults(period_ns) {
         table.fault(fault.key, fault.message);

@@ -93,11 +93,6 @@ impl LinUdpDrive {
         self.reply_within.unwrap_or(LinUdpDrive::REPLY_WITHIN).clamp(1, self.most_replies_within())
     }
 
-    /// So many cycles are what counts without a word of it.
-    pub(super) fn is_usual(&self, within: u32) -> bool {
-        within == LinUdpDrive { reply_within: None, ..self.clone() }.replies_within()
-    }
-
     /// The most cycles in which no two open exchanges look alike, and one that is over looks like none of them.
     fn most_replies_within(&self) -> u32 {
         match (self.reply_tag, self.monitor) {
