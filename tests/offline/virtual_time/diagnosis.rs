@@ -41,6 +41,18 @@ fn silence(_: u64, _: &mut Vec<u8>) -> To {
     To::Nobody
 }
 
+/// Each message is changed.
+fn all(bytes: &mut Vec<u8>, change: fn(&mut Vec<u8>)) -> To {
+    change(bytes);
+    To::Master
+}
+
+/// The first message is changed, and none follows.
+fn first(count: u64, bytes: &mut Vec<u8>, change: fn(&mut Vec<u8>)) -> To {
+    change(bytes);
+    if count == 0 { To::Master } else { To::Nobody }
+}
+
 /// What the test does to a drive.
 struct Script {
     change: Change,
@@ -256,18 +268,7 @@ fn of_a_linmot() {
         // It was late now and then, and its cable is out.
         Case { faults: delayed(0.02, 20), unplugged: Some(0), ..case(true, nothing, ENDED) },
         case(false, short, The("what it answers is no telegram of LinUDP V2")),
-        case(
-            true,
-            |count, bytes| {
-                if count < 3 {
-                    bytes.pop();
-                    To::Master
-                } else {
-                    To::Nobody
-                }
-            },
-            ENDED,
-        ),
+        case(true, |count, bytes| first(count, bytes, |bytes| bytes.truncate(bytes.len() - 1)), ENDED),
         with(foreign(), The("it answers from another port, or something that was not requested")),
         Case { faults: FaultPlan { wrong_id: 0.02, ..foreign() }, ..case(true, silence, ENDED) },
         case(
@@ -293,6 +294,7 @@ fn of_a_linmot() {
 #[test]
 fn of_a_unidrive() {
     const ENDED: Says = The("its replies have ended");
+    const SILENT: Says = Named("accepts connections, but does not answer");
     let exception: Change = |_, reply| {
         reply.truncate(7);
         reply.extend([0x83, 2]);
@@ -304,24 +306,18 @@ fn of_a_unidrive() {
         To::Master
     };
     let cases = vec![
+        case(true, |_, reply| all(reply, |reply| reply[6] ^= 1), The("it answers with another unit id")),
         case(
             true,
-            |_, reply| {
-                reply[6] ^= 1;
-                To::Master
-            },
-            The("it answers with another unit id"),
-        ),
-        case(
-            true,
-            |_, reply| {
-                reply[7] = 0x2B;
-                To::Master
-            },
+            |_, reply| all(reply, |reply| reply[7] = 0x2B),
             The("its replies do not fit the requests"),
         ),
         case(false, wrong_id, The("it answers with another transaction id than the request has")),
         case(true, wrong_id, The("it answers with another transaction id than the request has")),
+        // One of these, and then nothing more.
+        case(true, |count, reply| first(count, reply, |reply| reply[6] ^= 1), SILENT),
+        case(true, |count, reply| first(count, reply, |reply| reply[7] = 0x2B), SILENT),
+        case(true, |count, reply| first(count, reply, |reply| reply[1] ^= 0x80), SILENT),
         case(false, exception, Named("it refuses to report its status word: exception 02h")),
         // Each way.
         with(delayed(1.0, 14), The("its replies come later than reply_within")),
@@ -355,18 +351,9 @@ fn of_a_moons() {
     let cases = vec![
         case(false, length, The("its packets have another length than was agreed")),
         case(true, length, The("its packets have another length than was agreed")),
-        case(
-            true,
-            |count, packet| {
-                if count < 2 {
-                    packet.pop();
-                    To::Master
-                } else {
-                    To::Nobody
-                }
-            },
-            ENDED,
-        ),
+        case(true, |count, packet| first(count, packet, |packet| packet.truncate(packet.len() - 1)), ENDED),
+        case(true, |count, packet| first(count, packet, |packet| packet[0] ^= 0xFF), ENDED),
+        case(true, |count, packet| first(count, packet, |packet| packet[7] ^= 0x80), ENDED),
         case(false, |_, _| To::Elsewhere, The("its packets come from another address than its own")),
         case(true, |_, _| To::Elsewhere, The("its packets come from another address than its own")),
         case(true, |count, _| if count < 2 { To::Elsewhere } else { To::Nobody }, ENDED),
@@ -427,29 +414,28 @@ fn telegram(head: &[u8], data: &[u8]) -> Vec<u8> {
 fn of_a_lenze() {
     const ENDED: Says = The("its answers have ended");
     const LATE: Says = The("its answers come after the slot time");
+    const SC: &str = "it answers with SC, or with another length, in place of its inputs";
     type Change_ = fn(&mut LenzeSettings);
     /// Of Data_Exchange, that has no access points.
     fn of_exchange(bytes: &[u8]) -> bool {
         matches!(bytes, [0x68, _, _, _, da, sa, ..] if (da | sa) & 0x80 == 0)
     }
-    let sc: Change = |_, bytes| {
+    fn sc(bytes: &mut Vec<u8>) {
         if of_exchange(bytes) {
             *bytes = vec![0xE5];
         }
-        To::Master
-    };
-    let damaged: Change = |_, bytes| {
+    }
+    fn damage(bytes: &mut [u8]) {
         let middle = bytes.len() / 2;
         bytes[middle] ^= 0x10;
-        To::Master
-    };
-    let other: Change = |_, bytes| {
+    }
+    fn other(bytes: &mut Vec<u8>) {
         if of_exchange(bytes) {
             bytes[5] ^= 0x20;
             *bytes = telegram(&bytes[4..7], &bytes[7..bytes.len() - 2]);
         }
-        To::Master
-    };
+    }
+    let damaged: Change = |_, bytes| all(bytes, |bytes| damage(bytes));
     let unreadable: Change = |_, bytes| {
         if !of_exchange(bytes) && bytes.len() > 11 {
             *bytes = telegram(&bytes[4..9], &bytes[9..12]);
@@ -461,12 +447,8 @@ fn of_a_lenze() {
         (case(false, nothing, LATE), 3 * MS, usual),
         (case(false, damaged, The("its answers arrive damaged")), 0, usual),
         (case(true, damaged, The("its answers arrive damaged")), 0, usual),
-        (
-            case(false, sc, The("it answers with SC, or with another length, in place of its inputs")),
-            0,
-            usual,
-        ),
-        (case(false, other, The("another station answers in its place")), 0, usual),
+        (case(false, |_, bytes| all(bytes, sc), The(SC)), 0, usual),
+        (case(false, |_, bytes| all(bytes, other), The("another station answers in its place")), 0, usual),
         (case(false, unreadable, Named("what it answers as its diagnosis is none")), 0, usual),
         (
             case(false, nothing, Named("it is parametrised and configured, and does not become ready")),
@@ -475,22 +457,9 @@ fn of_a_lenze() {
         ),
         (case(false, silence, Named("nobody answers at address 3 on /dev/ttyS1")), 0, usual),
         (case(true, silence, ENDED), 0, usual),
-        (
-            case(
-                true,
-                |count, bytes| {
-                    if count < 2 {
-                        bytes[4] ^= 0x10;
-                        To::Master
-                    } else {
-                        To::Nobody
-                    }
-                },
-                ENDED,
-            ),
-            0,
-            usual,
-        ),
+        (case(true, |count, bytes| first(count, bytes, |bytes| damage(bytes)), ENDED), 0, usual),
+        (case(true, |count, bytes| first(count, bytes, sc), ENDED), 0, usual),
+        (case(true, |count, bytes| first(count, bytes, other), ENDED), 0, usual),
     ];
     for (case, late_ns, change) in cases {
         // Each by itself: they differ in more than their messages.
