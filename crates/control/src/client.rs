@@ -181,24 +181,6 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_object_is_foreign() {
-        let (_directory, path) = socket();
-        let listener = UnixListener::bind(&path).unwrap();
-        let replies: [&[u8]; 4] = [b"[1]\n", b"7\n", b"hello\n", b""];
-        let thread = std::thread::spawn(move || {
-            for reply in replies {
-                let (stream, _) = listener.accept().unwrap();
-                io::Read::read(&mut &stream, &mut [0; 64]).unwrap();
-                io::Write::write_all(&mut &stream, reply).unwrap();
-            }
-        });
-        for _ in replies {
-            assert!(matches!(ask(&path, &json!({})), Err(AskError::Foreign(_))));
-        }
-        thread.join().unwrap();
-    }
-
-    #[test]
     fn a_late_answer_is_not_taken_for_that_to_another_question() {
         let (_directory, path) = socket();
         let hold = Arc::new(Mutex::new(()));

@@ -732,30 +732,6 @@ pub(crate) mod tests {
         }
     }
 
-    #[test]
-    fn a_question_that_came_before_its_conversation_has_to_make_room_is_answered() {
-        let (_directory, path) = socket();
-        let listener = UnixListener::bind(&path).unwrap();
-        listener.set_nonblocking(true).unwrap();
-        let question = json!({ "ask": "echo" });
-        let mut client = post(&path, &question);
-        let accept = || listener.accept().map(|(stream, _)| stream);
-        let mut clients = Clients::new(LONG, LONGEST_QUESTION);
-        let mut arrived = Vec::new();
-        while arrived.is_empty() {
-            arrived = clients.turn(listener.as_fd(), LONG, accept, |said| said.ends_with(b"\n"));
-        }
-        let conversation = super::Conversation::new();
-        conversation.dismissed.store(true, Ordering::Relaxed);
-        let mut answering = echo;
-        let ended =
-            converse(arrived.remove(0), &|| true, &conversation, &AtomicUsize::new(0), &mut answering);
-        assert_eq!(ended.unwrap_err().kind(), io::ErrorKind::TimedOut, "it waits for no further one");
-        let mut said = String::new();
-        client.read_to_string(&mut said).unwrap();
-        assert_eq!(said, format!("{}\n", json!({ "ok": question })));
-    }
-
     /// Its conversation would end at any of the requests that find no place, and its axes would stop.
     #[test]
     fn no_request_that_only_looks_or_is_slow_ends_an_operator() {
@@ -781,27 +757,6 @@ pub(crate) mod tests {
         }
         // There was no room for all of these.
         assert!(looks[0].ask(&json!({ "ask": "status" }), LONG).is_err());
-    }
-
-    #[test]
-    fn a_client_that_has_left_has_no_place_although_its_request_is_still_under_way() {
-        let (_directory, path) = socket();
-        let (_server, go, ending) = busy(&path);
-        let leave = json!({ "ask": "leave", "ends_slowly": true });
-        for _ in 0..MOST_ENDING {
-            assert_eq!(ask(&path, &leave).unwrap(), "leave");
-        }
-        assert_eq!(ask(&path, &json!({ "ask": "status" })).unwrap(), "status");
-        // However many of them leave, so many are under way at most, and a stop has a place.
-        for _ in 0..4 * MOST_CONVERSATIONS {
-            drop(post(&path, &leave));
-        }
-        assert_eq!(ask(&path, &json!({ "ask": "stop" })).unwrap(), "stop");
-        let most = ending.load(Ordering::Relaxed);
-        assert!(most <= MOST_ENDING + MOST_CONVERSATIONS + 2 * RESERVED, "{most}");
-        go.store(true, Ordering::Relaxed);
-        let status = Conversation::open(&path).unwrap().ask(&json!({ "ask": "status" }), LONG);
-        assert_eq!(status.unwrap(), "status");
     }
 
     #[test]

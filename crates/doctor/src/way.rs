@@ -100,19 +100,6 @@ impl Carriers for FirstOpened {
 mod tests {
     use super::*;
     use fieldbeat_core::net::{Parity, Rs485};
-    use fieldbeat_linudp::{LinUdpDrive, LinUdpPlan};
-
-    #[test]
-    fn a_bus_shows_its_wire_without_opening_it() {
-        let drives = [11, 12].map(|host| LinUdpDrive::new(format!("x{host}"), [127, 77, 0, host].into()));
-        let bus = LinUdpPlan::new([127, 77, 0, 1].into(), drives.into());
-        let way = Way::of(&bus, 1_000_000).unwrap();
-        let Way::Wire(wire) = way else { panic!("it has addresses") };
-        assert_eq!(wire.local, "127.77.0.1:41136".parse().unwrap());
-        let drives: Vec<String> = wire.drives.iter().map(ToString::to_string).collect();
-        assert_eq!(drives, ["127.77.0.11:49360", "127.77.0.12:49360"]);
-        assert_eq!(wire.options.peers, 2);
-    }
 
     #[test]
     fn a_bus_without_addresses_is_known_by_its_interface() {

@@ -132,51 +132,6 @@ pub(crate) mod tests {
         room[..length].to_vec()
     }
 
-    #[test]
-    fn a_master_is_proved_by_its_third_frame_ten_milliseconds_after_the_first() {
-        let mark = || frame([0x10; 6], Some([7; 8]));
-        let good = || frame([0x10; 6], None);
-        let cyclic = |period: u64, frame: Vec<u8>| (0..200).map(|n| (n * period, frame.clone())).collect();
-        let changed = |change: fn(&mut Vec<u8>)| {
-            let mut frame = good();
-            change(&mut frame);
-            frame
-        };
-        let passed = |n: u64| {
-            let mut frame = good();
-            frame[6] = if n.is_multiple_of(2) { 0x10 } else { 0x12 };
-            (n * 5, frame)
-        };
-        for (what, sent, expected) in [
-            ("in each cycle", cyclic(1, good()), Some(10)),
-            ("in each cycle of 4 ms", cyclic(4, good()), Some(16)),
-            ("in each cycle of 10 ms", cyclic(10, good()), Some(20)),
-            ("in each cycle of 100 ms", cyclic(100, good()), Some(200)),
-            ("a frame now and then", cyclic(101, good()), None),
-            ("a burst that was left behind", (0..100).map(|n| (n / 25, mark())).collect(), None),
-            ("bursts", (0..100).map(|n| (n / 25 * 200, mark())).collect(), None),
-            (
-                "what the first slave sets in passing is no other sender",
-                (0..9).map(passed).collect(),
-                Some(10),
-            ),
-            (
-                "one frame of each of many",
-                (1..50_u8).map(|n| (u64::from(n) * 5, frame([0x10; 6], Some([n; 8])))).collect(),
-                None,
-            ),
-            ("cut off", cyclic(10, changed(|frame| frame.truncate(24))), None),
-            ("of a gateway", cyclic(10, changed(|frame| frame[15] = 0x50)), None),
-            ("zeros", cyclic(10, vec![0; 60]), None),
-            ("nothing", cyclic(10, vec![]), None),
-        ] {
-            let sent: Vec<(u64, Vec<u8>)> = sent;
-            let mut other = OtherMaster::default();
-            let proof = sent.into_iter().find(|(ms, frame)| other.see(Time(S + ms * MS), frame));
-            assert_eq!(proof.map(|(ms, _)| ms), expected, "{what}");
-        }
-    }
-
     /// A network interface on which frames arrive at these instants, ms; time passes while it is waited for.
     pub(crate) struct Interface {
         now: Cell<Time>,

@@ -186,14 +186,12 @@ impl Edges {
 
 #[cfg(test)]
 mod tests {
-    use proptest::prelude::*;
 
     use super::*;
     use fieldbeat_core::time::MS;
 
     const ENABLE: Wanted = Wanted { word: 2, urgency: Urgency::None, repeats: 0 };
     const STOP: Wanted = Wanted { word: 0x8000, urgency: Urgency::Stop, repeats: 0 };
-    const OFF: Wanted = Wanted { word: 4, urgency: Urgency::Off, repeats: 0 };
 
     /// Words of the next packets, one a ms, each sent.
     fn words(edges: &mut Edges, from_ms: u64, wanted: &[Option<Wanted>]) -> Vec<u32> {
@@ -221,23 +219,6 @@ mod tests {
     }
 
     #[test]
-    fn a_stop_replaces_it_behind_one_idle_packet_and_is_replaced_by_nothing() {
-        let mut edges = Edges::new(3, 100 * MS);
-        words(&mut edges, 0, &[None, None, None, Some(ENABLE)]);
-        assert_eq!(words(&mut edges, 4, &[Some(STOP); 2]), [0, 0x8000]);
-        assert_eq!(words(&mut edges, 6, &[Some(ENABLE); 2]), [0x8000; 2]);
-        edges.see();
-        assert_eq!(words(&mut edges, 8, &[Some(ENABLE); 4]), [0, 0, 0, 2]);
-        // From idle it waits for no packet more.
-        let mut edges = Edges::new(3, 100 * MS);
-        assert_eq!(words(&mut edges, 0, &[Some(STOP); 2]), [0, 0x8000], "the first packet is idle");
-        // Power off waits for no stop, and no stop for power off.
-        let mut edges = Edges::new(2, 100 * MS);
-        assert_eq!(words(&mut edges, 0, &[None, Some(STOP), Some(OFF), Some(OFF)]), [0, 0x8000, 0, 4]);
-        assert_eq!(words(&mut edges, 4, &[Some(STOP); 3]), [4; 3]);
-    }
-
-    #[test]
     fn a_stop_that_the_packets_of_the_drive_do_not_show_is_sent_anew_before_its_time_is_over() {
         for (wanted, words_then) in [(STOP, [0x8000, 0, 0x8000]), (ENABLE, [2, 2, 2])] {
             let mut edges = Edges::new(2, 1_000 * MS);
@@ -261,48 +242,5 @@ mod tests {
         assert_eq!(edges.sent(), Change::Begun);
         assert_eq!(edges.prepare(Time(2 * MS), Some(STOP)), 0);
         assert_eq!(edges.prepare(Time(2 * MS), None), 2, "the stop is not wanted any more");
-    }
-
-    #[test]
-    fn it_is_delivered_by_a_packet_of_the_drive_behind_the_last_that_had_to_carry_it() {
-        let mut edges = Edges::new(2, 100 * MS);
-        words(&mut edges, 0, &[None, None, Some(ENABLE)]);
-        edges.answered();
-        assert!(!edges.is_delivered());
-        words(&mut edges, 3, &[None]);
-        assert!(!edges.is_delivered());
-        edges.answered();
-        assert!(edges.is_delivered());
-    }
-
-    proptest! {
-        #[test]
-        fn between_two_commands_the_drive_sees_idle_and_a_stop_waits_for_one_packet_at_most(
-            hold in 1..5_u8,
-            turns in prop::collection::vec((0..4_u8, any::<bool>(), any::<bool>()), 1..200),
-        ) {
-            let mut edges = Edges::new(hold, 20 * MS);
-            let (mut last, mut waits) = (IDLE, 0);
-            for (ms, (what, leaves, seen)) in (0..).zip(turns) {
-                let wanted = match what {
-                    0 => None,
-                    1 => Some(ENABLE),
-                    2 => Some(Wanted { word: 8, ..ENABLE }),
-                    _ => Some(STOP),
-                };
-                let word = edges.prepare(Time(ms * MS), wanted);
-                if leaves {
-                    prop_assert!(word == IDLE || last == IDLE || word == last, "{last:#x} -> {word:#x}");
-                    waits = if wanted == Some(STOP) && word != STOP.word { waits + 1 } else { 0 };
-                    prop_assert!(waits <= 1, "{waits}");
-                    edges.sent();
-                    last = word;
-                }
-                if seen {
-                    edges.see();
-                }
-                edges.answered();
-            }
-        }
     }
 }

@@ -385,11 +385,5 @@ pub(crate) mod tests {
                 prop_assert_eq!((&again[..], &same[..]), (&info[..INFO_SIZE], &data[..]));
             }
         }
-
-        #[test]
-        fn any_curve_comes_back(curve in any_curve()) {
-            let (info, data) = curve.encode().unwrap();
-            prop_assert_eq!(Curve::decode(&info, &data), Ok(curve));
-        }
     }
 }

@@ -221,34 +221,8 @@ impl Packed for Telegram {
 
 #[cfg(test)]
 mod tests {
-    use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
     use super::*;
-
-    #[test]
-    fn a_flush_ends_however_fast_the_application_writes() {
-        let (mut native, mut port) = native();
-        let (pushed, over) = (AtomicUsize::new(0), AtomicBool::new(false));
-        let most = std::thread::scope(|scope| {
-            scope.spawn(|| {
-                while !over.load(Ordering::Relaxed) {
-                    if native.write(NativeOutput::default()).is_ok() {
-                        pushed.fetch_add(1, Ordering::SeqCst);
-                    }
-                }
-            });
-            let flush = |_| {
-                let before = pushed.load(Ordering::SeqCst);
-                port.flush();
-                pushed.load(Ordering::SeqCst) - before
-            };
-            let most = (0..20_000).map(flush).max();
-            over.store(true, Ordering::Relaxed);
-            most
-        });
-        // What was free before, what a flush made free, and one that was not counted yet.
-        assert!(most <= Some(2 * OUTPUTS + 1), "{most:?}");
-    }
 
     #[test]
     fn the_queue_is_locked_with_the_rest() {

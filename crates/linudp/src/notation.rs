@@ -202,27 +202,6 @@ mod tests {
     use super::*;
 
     #[test]
-    fn each_variant_has_its_command() {
-        for (variant, service) in
-            [("", 0x11), (".rom", 0x10), (".min", 0x15), (".max", 0x16), (".default", 0x17)]
-        {
-            let call = Upids.read(&format!("0x20A8{variant}"));
-            assert_eq!(call.map(|call| (call.service, call.address)), Ok((service, 0x20A8)), "{variant}");
-        }
-        for (variant, service, limit) in
-            [("", 0x13, RAM_LIMIT), (".rom", 0x12, FLASH_LIMIT), (".both", 0x14, FLASH_LIMIT)]
-        {
-            let call = Upids.write(&format!("0x20A8{variant}"), 7).unwrap();
-            assert_eq!((call.service, call.value, Upids.limit(&call)), (service, 7, limit), "{variant}");
-        }
-        // What is written to flash is given its time, and what is read of it needs none.
-        assert_eq!(Upids.read("0x20A8.rom").map(|call| Upids.limit(&call)), Ok(RAM_LIMIT));
-        let write = |text: &str| Upids.write(text, 7);
-        assert!(matches!(write("0x20A8.min"), Err(NotationError::ReadOnly { .. })));
-        assert!(matches!(Upids.write("0x20A8", 1 << 32), Err(NotationError::Value { .. })));
-    }
-
-    #[test]
     fn values_keep_their_sign_and_their_range() {
         for (address, text, raw) in [
             ("home-position", "-5", 0xFFFF_FFFB),

@@ -216,10 +216,9 @@ impl<'a> IntoIterator for &'a Table {
 
 #[cfg(test)]
 mod tests {
-    use proptest::prelude::*;
 
     use super::*;
-    use crate::motion::{Bits, Long, Offset, Position, WaitTime};
+    use crate::motion::{Position, WaitTime};
 
     fn id(id: u16) -> EntryId {
         EntryId::new(id).unwrap()
@@ -265,42 +264,6 @@ mod tests {
             let mut entry = Entry::new("", MotionCommand::no_operation(), None).unwrap();
             entry.name = bytes;
             assert_eq!(entry.name(), name, "{bytes:x?}");
-        }
-    }
-
-    #[test]
-    fn every_way_out_of_the_table_is_found() {
-        let mut table = Table::new();
-        let mut put = |at: u16, command, next: Option<u16>| {
-            let mut entry = Entry::new("", command, None).unwrap();
-            entry.next = next;
-            assert_eq!(table.insert(id(at), entry), None);
-        };
-        put(1, MotionCommand::no_operation(), Some(2));
-        put(2, MotionCommand::if_status_word_equal(Bits(1), Bits(1), id(1), id(4)), Some(300));
-        put(3, MotionCommand::table_start(id(1)), Some(0));
-        put(5, MotionCommand::table_modify_long(id(6), Offset(2), Long(0)), None);
-        let dead = |entry, by, to| DeadEnd { entry: id(entry), by, to };
-        let expected =
-            vec![dead(2, "next", 300), dead(2, "if_false", 4), dead(3, "next", 0), dead(5, "entry", 6)];
-        assert_eq!(table.dead_ends(), expected);
-        assert_eq!(
-            expected[1].to_string(),
-            "if_false of entry 2 leads to entry 4, which does not exist; add it or change the reference"
-        );
-        assert!(Table::new().dead_ends().is_empty() && Table::new().is_empty());
-    }
-
-    proptest! {
-        #[test]
-        fn any_entry_comes_back_to_the_byte(mut bytes in prop::collection::vec(any::<u8>(), 64)) {
-            bytes[..2].copy_from_slice(&[0x01, 0xA7]);
-            let entry = Entry::decode(&bytes).unwrap();
-            prop_assert_eq!(entry.encode().to_vec(), bytes);
-            entry.leads_to().for_each(drop);
-            if let Some(name) = entry.name() {
-                prop_assert_eq!(Entry::name_bytes(name), Ok(entry.name));
-            }
         }
     }
 }

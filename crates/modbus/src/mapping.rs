@@ -429,24 +429,6 @@ mod tests {
     }
 
     #[test]
-    fn status_and_speed_are_read_in_two_of_three_turns_and_all_the_rest_in_the_others() {
-        let mapping = Mapping::new(&drive(|_| ())).unwrap();
-        let turns: Vec<usize> = (0..mapping.turns() as u32).map(|turn| mapping.read_in(turn)).collect();
-        assert_eq!(turns, [0, 1, 2, 0, 1, 3, 0, 1, 4, 0, 1, 5]);
-        let alone = Mapping::new(&drive(|drive| drive.via = Via::Menu0 { first: 1 })).unwrap();
-        assert_eq!((0..4).map(|turn| alone.read_in(turn)).collect::<Vec<_>>(), [0; 4]);
-    }
-
-    #[test]
-    fn menu_0_has_all_in_one_block_and_what_is_written_in_front() {
-        let mapping = Mapping::new(&drive(|drive| drive.via = Via::Menu0 { first: 11 })).unwrap();
-        assert_eq!(addresses(mapping.writes()), [(0x400A, 4)]);
-        assert_eq!(addresses(mapping.reads()), [(0x400A, 12)]);
-        let shown: Vec<String> = mapping.shown_in_menu_0().iter().map(Parameter::to_string).collect();
-        assert_eq!(shown, ["06.042", "01.021", "10.040", "03.002", "10.020", "04.020"]);
-    }
-
-    #[test]
     fn parameters_side_by_side_are_one_block_until_it_is_full() {
         let also = |count: u8| {
             move |drive: &mut UnidriveDrive| {

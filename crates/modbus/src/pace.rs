@@ -131,12 +131,6 @@ mod tests {
     }
 
     #[test]
-    fn a_fast_drive_is_awaited_from_the_start_and_a_slow_one_once() {
-        assert_eq!(windows(&mut Pace::new(), times(Arrival::Inside, 1_000)), 1_000);
-        assert_eq!(windows(&mut Pace::new(), times(Arrival::Late, 1_000)), 1);
-    }
-
-    #[test]
     fn a_few_late_replies_change_nothing_and_many_end_it() {
         let mut pace = Pace::new();
         windows(&mut pace, times(Arrival::Inside, 20));

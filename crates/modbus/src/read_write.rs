@@ -108,25 +108,6 @@ impl ReadWrite {
 mod tests {
     use super::*;
 
-    const BUSY: ExceptionCode = ExceptionCode::BUSY;
-
-    #[test]
-    fn a_refusal_a_silence_or_too_many_registers_give_it_up_once() {
-        for code in [ExceptionCode::FUNCTION, ExceptionCode::ADDRESS] {
-            let mut auto = ReadWrite::new(Functions::Auto);
-            assert!(auto.is_used() && !auto.refused(BUSY, 14) && auto.refused(code, 14));
-            assert!(!auto.is_used() && !auto.refused(code, 14) && !auto.ignored());
-        }
-        let lose: [fn(&mut ReadWrite) -> bool; 2] = [ReadWrite::ignored, ReadWrite::closed];
-        for lose in lose {
-            let mut auto = ReadWrite::new(Functions::Auto);
-            assert!(lose(&mut auto) && !auto.is_used() && !lose(&mut auto));
-            auto.other_answered();
-            auto.reconnected();
-            assert!(!auto.is_used());
-        }
-    }
-
     #[test]
     fn a_drive_out_of_reach_is_tried_once_more() {
         let mut auto = ReadWrite::new(Functions::Auto);

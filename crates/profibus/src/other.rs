@@ -143,34 +143,6 @@ mod tests {
     const TOKEN: &[u8] = &[0xDC, 9, 9];
     /// A search of the master at address 9, and a diagnosis that it requests.
     const SEARCH: &[u8] = &[0x10, 10, 9, 0x49, 92, 0x16];
-    const DIAGNOSIS: &[u8] = &[0x68, 5, 5, 0x68, 0x87, 0x89, 0x6D, 0x3C, 0x3E, 0xF7, 0x16];
-
-    #[test]
-    fn what_a_master_does_first_names_it() {
-        for (telegrams, by) in [
-            (&[TOKEN, TOKEN, SEARCH][..], 3),
-            (&[TOKEN, SEARCH, TOKEN], 3),
-            (&[SEARCH, DIAGNOSIS], 2),
-            (&[TOKEN; 4], 4),
-            // Of two that pass their token on, the one that searches.
-            (&[&[0xDC, 11, 9], SEARCH, &[0xDC, 9, 11], &[0xDC, 11, 9], SEARCH], 5),
-            // Noise between them, and tokens of others that are noise.
-            (&[TOKEN, &[0xDC, 40, 40], TOKEN, &[0x55], &[0xDC, 41, 41], TOKEN, TOKEN], 7),
-        ] {
-            assert_eq!(Wire::new().named_by(telegrams), Some((by, 9)), "{telegrams:02x?}");
-        }
-    }
-
-    #[test]
-    fn the_seventh_token_in_a_row_is_the_last_one_that_counts_for_nothing() {
-        for before in 0..=1_000 {
-            let mut wire = Wire::new();
-            assert_eq!(wire.arrive(&[0xDC, 40, 40]), None, "a second begins");
-            wire.now = wire.now + before * MS;
-            let named = wire.named_by(&[TOKEN; 7]);
-            assert!(named.is_some_and(|(by, address)| by >= 4 && address == 9), "{before}: {named:?}");
-        }
-    }
 
     #[test]
     fn one_that_was_named_is_named_again_by_each_telegram_and_has_gone_after_a_second_without_one() {

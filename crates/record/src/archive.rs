@@ -444,21 +444,6 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn what_is_none_is_refused_with_the_reason() {
-        let refused = |text: &str| Archive::parse(text, Path::new("run.json")).unwrap_err().to_string();
-        let text = archive(&fieldbeat_testing::runs::run("x", 10)).to_json();
-        let cases = [
-            ("", "run.json is no run.json of a report, or is damaged: EOF"),
-            ("{\"cycle\":{}}", "missing field `format`"),
-            (&text[..text.len() / 2], "is damaged: EOF"),
-            (&text.replacen("\"format\":1", "\"format\":7", 1), "is of form 7, not 1: another version"),
-        ];
-        for (text, expected) in cases {
-            assert!(refused(text).contains(expected), "{}", refused(text));
-        }
-    }
-
-    #[test]
     fn a_run_and_its_continuation_are_one_run() {
         let [one, other] = [3_000, 5_000].map(|cycles| fieldbeat_testing::runs::run("x", cycles));
         let mut both = archive(&one);

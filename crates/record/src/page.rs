@@ -440,12 +440,6 @@ mod tests {
     }
 
     #[test]
-    fn a_page_of_nothing_is_drawn_too() {
-        let html = page(&archive(&run("x", 0)), &[]);
-        assert!(texts(&html).contains("no following error"));
-    }
-
-    #[test]
     fn what_these_numbers_are_worth_stands_on_the_page() {
         let mut run = run("x", 2_000);
         let lines = ["These numbers are not real-time: no right", "3 telemetry records lost"];

@@ -278,14 +278,4 @@ mod tests {
         drop(Report::create(place.path()).unwrap());
         assert_eq!(fs::read_to_string(place.path().join("notes")).unwrap(), "mine");
     }
-
-    #[test]
-    fn a_file_is_no_place() {
-        let place = tempfile::tempdir().unwrap();
-        let file = place.path().join("file");
-        fs::write(&file, "mine").unwrap();
-        assert!(matches!(Report::create(&file), Err(ReportError::NotADirectory(path)) if path == file));
-        assert!(matches!(Report::create(file.join("a/b")), Err(ReportError::Directory { .. })));
-        assert_eq!(fs::read_to_string(&file).unwrap(), "mine");
-    }
 }

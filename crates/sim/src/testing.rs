@@ -22,11 +22,6 @@ impl Peers {
         self.0.lock().unwrap().len()
     }
 
-    /// The peer that has been connected longest.
-    pub fn first(&self) -> Option<SocketAddrV4> {
-        self.0.lock().unwrap().first().map(|peer| peer.address)
-    }
-
     /// One more, if there are fewer than `most`.
     pub fn connect(&self, from: SocketAddrV4, most: usize) -> bool {
         let mut peers = self.0.lock().unwrap();

@@ -342,28 +342,6 @@ mod tests {
     }
 
     #[test]
-    fn faults_and_stops_fail_by_their_marks() {
-        use fieldbeat_core::axis::{Link, State, StopCause, Units};
-        use fieldbeat_core::drive::record::DriveRecord;
-        let mut motion = fieldbeat_telemetry::Motion::new(&[Units::millimetres(1.0)]);
-        let (link, state) = (Link::Online, State::Fault);
-        for (index, fault) in [0, 7, 0, 9].into_iter().enumerate() {
-            let stopped = (fault == 9).then_some(StopCause::DriveFault);
-            let index = index as u64;
-            motion.enter(&DriveRecord { index, link, state, fault, stopped, ..DriveRecord::default() });
-        }
-        let marks = motion.axes().next().unwrap().marks.clone();
-        let lines = failed(|_, run| run.drives[0].motion.marks = marks.clone());
-        assert_eq!(lines, ["faults: 2, at most 0; x", "stops: 1, at most 0; x"]);
-        // What a pause of the test has caused does not count.
-        let lines = failed(|progress, run| {
-            run.drives[0].motion.marks = marks;
-            (progress.axes[0].faults_of_pauses, progress.axes[0].stops_of_pauses) = (1, 1);
-        });
-        assert_eq!(lines, ["faults: 1, at most 0; x"]);
-    }
-
-    #[test]
     fn a_tail_that_grows_drifts_and_noise_does_not() {
         let level = |ns: u64| Bins::from_list([(ns, 10_000)]);
         let drifts = |wake: u64, rtt: u64| {

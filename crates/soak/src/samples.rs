@@ -114,11 +114,6 @@ mod tests {
     use super::*;
     use fieldbeat_core::time::S;
 
-    /// A day, with a sample each minute.
-    fn process(memory_kb: impl Fn(u64) -> u64) -> Process {
-        days(1, memory_kb)
-    }
-
     fn days(days: u64, memory_kb: impl Fn(u64) -> u64) -> Process {
         let mut process = Process::default();
         for minute in 0..days * 1_440 {
@@ -126,22 +121,6 @@ mod tests {
             process.take(Sample { at_ns, memory_kb: memory_kb(minute), descriptors });
         }
         process
-    }
-
-    #[test]
-    fn growth_is_that_after_the_warm_up() {
-        let warm_up_ns = 600 * S;
-        let grown = |process: Process| process.growth(warm_up_ns).unwrap().memory;
-        // Up to its size at first, then constant, with a peak.
-        assert_eq!(
-            grown(process(|minute| if minute == 700 { 90_000 } else { 20_000.min(2_000 * minute) })),
-            0.0
-        );
-        // 10 kB a minute: three quarters of a day apart.
-        let leak = grown(process(|minute| 20_000 + 10 * minute));
-        assert!((10.0..12.0).contains(&leak), "{leak}");
-        assert_eq!(process(|_| 1).growth(86_400 * S), None, "too short");
-        assert!(process(|_| 1).samples.len() <= MOST);
     }
 
     #[test]

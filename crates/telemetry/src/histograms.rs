@@ -251,35 +251,6 @@ mod tests {
     }
 
     #[test]
-    fn weeks_at_one_value_leave_the_quantiles_right() {
-        let mut histograms = Histograms::new(1);
-        let rtt = &mut histograms.drives[0].rtt;
-        rtt.0.record_n(1_000_000, 5 * (1 << 32)).unwrap();
-        rtt.0.record_n(2_000_000, 1 << 32).unwrap();
-        let quantiles = Quantiles::of(rtt, Peak { ns: 2_000_000, index: 1 });
-        assert_eq!(
-            (quantiles.p50, quantiles.p90, quantiles.p99_99),
-            (Some(1_003_519), Some(2_000_000), Some(2_000_000))
-        );
-    }
-
-    #[test]
-    fn beyond_the_end_of_the_histogram_no_quantile_is_known() {
-        let mut histograms = Histograms::new(0);
-        let skipped = SkippedRecord { count: 1_000, late_ns: 1_000 * MS, ..SkippedRecord::default() };
-        histograms.enter(&Record::Skipped(skipped), MS);
-        let quantiles = Quantiles::of(&histograms.wake, Peak { ns: 1_000 * MS, index: 0 });
-        assert_eq!((quantiles.count, quantiles.p50, quantiles.p90), (1_000, None, None));
-        assert_eq!(quantiles.max, Some(1_000 * MS));
-    }
-
-    #[test]
-    fn a_maximum_outlives_its_lost_records() {
-        let quantiles = Quantiles::of(&Histograms::new(0).wake, Peak { ns: 5, index: 3 });
-        assert_eq!((quantiles.count, quantiles.max, quantiles.max_cycle), (0, Some(5), Some(3)));
-    }
-
-    #[test]
     fn each_skipped_slot_is_a_late_wake_up_of_its_own() {
         let mut histograms = Histograms::new(0);
         let skipped = SkippedRecord { first: 5, count: 3, late_ns: 3_500_000, ..SkippedRecord::default() };

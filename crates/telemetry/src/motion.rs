@@ -351,21 +351,6 @@ mod tests {
     }
 
     #[test]
-    fn an_error_counts_only_of_an_enabled_axis_that_does_not_home_and_on_the_shorter_way() {
-        let mut all = motion(Some(360.0));
-        all.enter(&DriveRecord { state: State::SwitchedOn, ..record(0, 10.0, 90.0) });
-        all.enter(&DriveRecord { command: Command::Home.code(), ..record(1, 10.0, 90.0) });
-        all.enter(&DriveRecord { link: Link::Lost, ..record(2, 10.0, 90.0) });
-        all.enter(&record(3, f64::NAN, f64::NAN));
-        assert_eq!(all.axes().next().unwrap().error_max, None);
-        all.enter(&record(4, 359.0, 1.0));
-        let axis = all.axes().next().unwrap();
-        assert_eq!(axis.error_max, Some(Largest { value: 2.0, cycle: 4 }));
-        assert_eq!(axis.stretches()[2], Moved::default(), "of a lost drive nothing is known");
-        assert_eq!(axis.stretches()[3].position, None);
-    }
-
-    #[test]
     fn what_happens_is_marked_once_and_counted_beyond_what_is_kept() {
         let mut all = motion(None);
         for index in 0..1_000 {

@@ -7,12 +7,12 @@ use std::collections::BTreeMap;
 use std::fmt::Debug;
 use std::mem::{discriminant, replace};
 
-use fieldbeat::axis::{Command, Failure, Row};
+use fieldbeat::axis::{Command, Failure};
 use fieldbeat::bus::BusPlan;
 use fieldbeat::time::Time;
 use fieldbeat_core::bus::Slot;
 use fieldbeat_core::bus::desired::{Desired, Intent, Motion, Power, Setpoint};
-use fieldbeat_core::drive::machine::{Machine, NumberedRow};
+use fieldbeat_core::drive::machine::Machine;
 
 pub struct Commanded {
     machine: Machine,
@@ -24,7 +24,6 @@ pub struct Commanded {
     /// What each serial was used for.
     used: BTreeMap<u64, String>,
     end: Option<Result<(), Failure>>,
-    rows: u64,
 }
 
 impl Commanded {
@@ -37,7 +36,6 @@ impl Commanded {
             gone: Desired::default(),
             used: BTreeMap::new(),
             end: None,
-            rows: 0,
         }
     }
 
@@ -48,22 +46,8 @@ impl Commanded {
         assert_eq!(self.machine.end(), None, "it works on the newest command");
     }
 
-    pub fn command(&self) -> Option<Command> {
-        self.machine.command()
-    }
-
     pub fn velocity(&mut self, velocity: f64) {
         self.machine.input.level = velocity;
-    }
-
-    /// The velocity that is wanted of it.
-    pub fn wanted_velocity(&self) -> f64 {
-        self.machine.input.level
-    }
-
-    pub fn row(&mut self, row: Row) {
-        self.rows += 1;
-        self.machine.input.row = Some(NumberedRow { number: self.rows, row });
     }
 
     /// Writes what is desired with the send in slot `grid`.

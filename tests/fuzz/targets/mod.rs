@@ -11,9 +11,7 @@
 //! | `ethercat` | a program for an EtherCAT bus on one line: commands, and frames that come back as they like |
 //! | `ethernet_ip_wire` | a datagram or a stream of EtherNet/IP, for every parser of it |
 //! | `profibus_wire` | what arrives on a PROFIBUS, for every parser of it |
-//! | `station` | a program for one station: commands, sends, replies good and bad |
 //! | `channel` | a program for the parameter channel: calls posted, cancelled and forgotten, on a bad wire |
-//! | `drive` | a program of a master that knows no rules, for the simulated drive |
 //! | `files` | the text of a curve or of a command table |
 //! | `recording` | damage to a recording with its log |
 //! | `config` | the text of a configuration |
@@ -30,7 +28,6 @@ mod channel;
 mod commanded;
 mod commands;
 mod config;
-mod drive;
 mod ethercat;
 mod ethercat_mailbox;
 mod ethercat_sii;
@@ -43,12 +40,10 @@ mod modbus;
 mod modbus_wire;
 mod profibus_wire;
 mod recording;
-mod station;
 mod telegram;
 
 pub use channel::channel;
 pub use config::{config, config_keys};
-pub use drive::drive;
 pub use ethercat::ethercat;
 pub use ethercat_mailbox::ethercat_mailbox;
 pub use ethercat_sii::ethercat_sii;
@@ -60,5 +55,4 @@ pub use modbus::modbus;
 pub use modbus_wire::modbus_wire;
 pub use profibus_wire::profibus_wire;
 pub use recording::recording;
-pub use station::station;
 pub use telegram::telegram;

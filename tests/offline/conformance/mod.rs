@@ -11,14 +11,12 @@
 //! | `own_clock`, `half_duplex` | clauses of these two wires alone |
 //! | `acyclic` | clauses of acyclic access, under the loop |
 //! | `whole` | clauses of a bus under the loop |
-//! | `broken` | the clauses can fail |
 //!
 //! A new protocol is one file in `subjects/` and one line in `subjects!` below. A failure reads
 //! `linudp::replies::a_duplicate_is_counted_and_answers_nothing`: subject, chapter, clause. What means nothing for a
 //! subject is said on standard error and never passed over in silence.
 
 mod acyclic;
-mod broken;
 mod exchanges;
 mod half_duplex;
 mod line;
@@ -189,7 +187,7 @@ macro_rules! rows {
 
                 const SLAVES: Slaves = Slaves { name: stringify!($name), ..rows::$row.slaves };
                 const SUBJECT: &dyn crate::conformance::subject::Subject =
-                    &EtherCat { positions: true, slaves: SLAVES, defect: None };
+                    &EtherCat { positions: true, slaves: SLAVES };
 
                 clauses! {
                     exchanges::{the_end_comes_and_leaves_nothing_owed},
@@ -224,29 +222,24 @@ subjects! {
     linudp: crate::conformance::subjects::linudp::LinUdp { reply_tag: fieldbeat::bus::linudp::ReplyTag::Definition },
     linudp_counted: crate::conformance::subjects::linudp::LinUdp { reply_tag: fieldbeat::bus::linudp::ReplyTag::Count },
     linudp_untagged: crate::conformance::subjects::linudp::LinUdp { reply_tag: fieldbeat::bus::linudp::ReplyTag::Off },
-    modbus_menu_0: crate::conformance::subjects::modbus::Modbus { direct: false, defect: None },
-    modbus_direct: crate::conformance::subjects::modbus::Modbus { direct: true, defect: None },
+    modbus_menu_0: crate::conformance::subjects::modbus::Modbus { direct: false },
+    modbus_direct: crate::conformance::subjects::modbus::Modbus { direct: true },
     ethercat_velocity: crate::conformance::subjects::ethercat::EtherCat {
-        positions: false, slaves: crate::conformance::subjects::ethercat::slaves::PLAIN, defect: None
+        positions: false, slaves: crate::conformance::subjects::ethercat::slaves::PLAIN
     },
     ethercat_position: crate::conformance::subjects::ethercat::EtherCat {
-        positions: true, slaves: crate::conformance::subjects::ethercat::slaves::PLAIN, defect: None
+        positions: true, slaves: crate::conformance::subjects::ethercat::slaves::PLAIN
     },
     ethercat_strict: crate::conformance::subjects::ethercat::EtherCat {
-        positions: true, slaves: crate::conformance::subjects::ethercat::slaves::STRICT, defect: None
+        positions: true, slaves: crate::conformance::subjects::ethercat::slaves::STRICT
     },
     ethercat_terminals: crate::conformance::subjects::ethercat::EtherCat {
-        positions: false, slaves: crate::conformance::subjects::ethercat::slaves::TERMINALS, defect: None
+        positions: false, slaves: crate::conformance::subjects::ethercat::slaves::TERMINALS
     },
     ethernet_ip: crate::conformance::subjects::ethernet_ip::EthernetIp { multicast: false },
     ethernet_ip_multicast: crate::conformance::subjects::ethernet_ip::EthernetIp { multicast: true },
     profibus_drivecom: crate::conformance::subjects::profibus::Profibus { profidrive: false },
     profibus_profidrive: crate::conformance::subjects::profibus::Profibus { profidrive: true },
-    toy: crate::conformance::subjects::toy::Toy(crate::conformance::subjects::toy::ToyWire::Later, None),
-    toy_with_its_own_clock:
-        crate::conformance::subjects::toy::Toy(crate::conformance::subjects::toy::ToyWire::OwnClock, None),
-    toy_on_a_half_duplex_wire:
-        crate::conformance::subjects::toy::Toy(crate::conformance::subjects::toy::ToyWire::HalfDuplex, None),
 }
 
 rows! {

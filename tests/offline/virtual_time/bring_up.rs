@@ -1,7 +1,7 @@
 //! From silence to online: reads before it writes, whatever is found.
 
 use fieldbeat::Overrun;
-use fieldbeat::axis::{Command, Failure, Link, Outcome, State, StopCause, StopThen};
+use fieldbeat::axis::{Command, Failure, Link, Outcome, State, StopCause};
 use fieldbeat::bus::linudp::{ControlWord, MotionBlock};
 use fieldbeat::time::MS;
 
@@ -85,34 +85,4 @@ fn orders_wait_at_the_door_until_the_link_is_up() {
     assert_eq!(b.failed(0, Command::Enable), Failure::NotOnline);
     b.online();
     b.done(0, Command::Enable);
-}
-
-#[test]
-fn a_restarted_master_goes_on_with_the_count_of_the_drive() {
-    // The drive has stored count 5. All sixteen counts are used, so one of them would meet it if the master did not
-    // ask.
-    let mut b = Rig::new(1)
-        .each(|_, drive| {
-            drive.simulate.start_running = true;
-            drive.axis.stop.then = StopThen::Hold;
-        })
-        .online();
-    b.until("standstill", 400, |b| !b.feedback(0).status.moving);
-    b.done(0, Command::Reset);
-    b.done(0, Command::Enable);
-    b.tape(0).received.clear();
-    for n in 0..40 {
-        b.done(0, to(10.0 + f64::from(n)));
-        assert_near(b.feedback(0).status.demand, 10.0 + f64::from(n), 1e-6);
-    }
-    // One telegram each: none had to be repeated, so each was taken with its first count.
-    let counts: Vec<u16> = b
-        .tape(0)
-        .received
-        .iter()
-        .filter_map(|received| received.request.motion)
-        .map(|motion| motion.header & 0xF)
-        .collect();
-    let expected: Vec<u16> = (0..40).map(|n| (7 + n) % 16).collect();
-    assert_eq!(counts, expected);
 }

@@ -1,8 +1,7 @@
 //! What an application asks for, and how it ends.
 
 use fieldbeat::axis::{
-    Abort, Command, EventKind, Failure, Link, NativeOwner, Outcome, State, StopCause, StopHow, StopThen,
-    Target,
+    Abort, Command, EventKind, Failure, Link, NativeOwner, State, StopCause, StopHow, StopThen, Target,
 };
 use fieldbeat::bus::linudp::motion::{Acceleration, MotionCommand, Position, Velocity};
 use fieldbeat::bus::linudp::{ControlWord, ErrorCode, MainState, Native, NativeOutput, StatusWord};
@@ -66,46 +65,6 @@ fn motions_need_operation_and_an_enable() {
     }
     b.done(0, Command::Enable);
     b.done(0, to(10.0));
-}
-
-#[test]
-fn commands_that_are_queued_together_wait_or_replace_what_is_before_them() {
-    /// From power off. Each command is Done, or replaced by the one of that place; then the demand.
-    type Case<'a> = (&'a [Command], &'a [Option<usize>], f64);
-    let (enable, home) = (Command::Enable, Command::Home);
-    let cases: [Case<'_>; 5] = [
-        (&[enable, home, to(20.0)], &[None, None, None], 20.0),
-        // What is urgent aborts all that stand before it.
-        (&[enable, home, to(2.0), Command::Disable], &[Some(3), Some(3), Some(3), None], 10.0),
-        // A motion replaces a motion and no homing, and a homing replaces nothing.
-        (&[enable, home, slowly_to(50.0), to(7.0)], &[None, None, Some(3), None], 7.0),
-        (&[enable, home, jog(20.0), home, STOP], &[Some(4), Some(4), Some(4), Some(4), None], 10.0),
-        (
-            &[enable, STOP, to(3.0), Command::QuickStop, enable, home],
-            &[Some(3), Some(3), Some(3), None, None, None],
-            0.0,
-        ),
-    ];
-    for (commands, ends, demand) in cases {
-        let mut b = Rig::new(1).online();
-        let ids: Vec<_> = commands.iter().map(|command| b.post(0, *command)).collect();
-        b.ended(0, ids[ids.len() - 1]);
-        for (id, end) in ids.iter().zip(ends) {
-            let expected = end.map_or(Outcome::Done, |by| Outcome::Aborted(Abort::Replaced(ids[by])));
-            assert_eq!(b.outcome(0, *id), Some(expected), "{commands:?}: {}", id.0);
-        }
-        assert_near(b.feedback(0).status.demand, demand, 1e-6);
-    }
-    // In motion, too.
-    let mut b = Rig::new(1).ready();
-    let first = b.post(0, slowly_to(100.0));
-    b.run(500);
-    let second = b.post(0, jog(-20.0));
-    b.step();
-    assert_eq!(b.outcome(0, first), Some(Outcome::Aborted(Abort::Replaced(second))));
-    let waiting = b.post(0, Command::Home);
-    b.run(300);
-    assert_eq!((b.outcome(0, second), b.outcome(0, waiting)), (None, None));
 }
 
 #[test]
@@ -251,24 +210,6 @@ fn the_stop_plan_chooses_the_way_down() {
 fn count(reply: &mut [u8]) -> Option<&mut u8> {
     let in_operation = ResponseView::new(reply).ok()?.state()?.count().is_some();
     in_operation.then(|| &mut reply[10])
-}
-
-#[test]
-fn a_drive_that_takes_no_count_is_given_up() {
-    let mut b = Rig::new(1).ready();
-    b.tape(0).received.clear();
-    b.tape(0).tamper = Some(Box::new(|reply| {
-        if let Some(byte) = count(reply) {
-            *byte &= 0xF0;
-        }
-    }));
-    b.run(5);
-    assert_eq!(b.failed(0, to(1.0)), Failure::NotTaken);
-    let tape = b.tape(0);
-    let mut counts: Vec<_> =
-        tape.received.iter().filter_map(|h| h.request.motion).map(|m| m.header & 0xF).collect();
-    counts.dedup();
-    assert_eq!(counts, [1, 2, 3, 4], "a few counts, then it is given up");
 }
 
 #[test]

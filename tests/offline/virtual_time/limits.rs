@@ -103,18 +103,6 @@ fn a_jog_reaches_its_speed_and_never_runs_further_ahead_than_its_leash() {
 }
 
 #[test]
-fn jogs_are_refused_without_a_leash_and_beyond_what_it_can_hold() {
-    let mut b = Rig::new(2).each(|index, drive| drive.leash = (index == 1).then_some(2.0)).ready();
-    assert!(matches!(b.refused(0, jog(10.0)), Failure::Unsupported(why) if why.contains("leash")));
-    // Half of the leash must be enough to brake: v² <= 2 a leash / 2.
-    assert!(matches!(b.failed(1, jog(101.0)), Failure::Limit { .. }));
-    let id = b.post(1, jog(99.0));
-    b.run(300);
-    assert_eq!(b.outcome(1, id), None);
-    assert_near(b.feedback(1).status.velocity, 99.0, 3.0);
-}
-
-#[test]
 fn an_axis_in_motion_brakes_before_its_limit_whatever_replaces_its_motion() {
     // Each of these would need far more way than there is, with the deceleration asked for.
     let weak = 500.0;

@@ -1,7 +1,5 @@
 //! Loads that drop when nothing holds them, and the hardware enable (STO) that takes the power away.
 
-use std::time::Duration;
-
 use fieldbeat::axis::{
     Abort, Command, EventKind, Failure, HeldBy, Load, Outcome, State, StopCause, StopThen, StopTimeout,
 };
@@ -18,16 +16,6 @@ fn vertical(held_by: HeldBy) -> Rig {
             (drive.axis.stop.then, drive.axis.stop.on_timeout) = (StopThen::Hold, StopTimeout::Hold);
         }
     })
-}
-
-/// The drive was never told to take the power off while its demand moved.
-fn assert_never_dropped(b: &Bench) {
-    for pair in b.tape(0).received.windows(2) {
-        let off = pair[1].request.control.is_some_and(|control| !control.has(ControlWord::SWITCH_ON));
-        let moving =
-            pair[0].reply.and_then(|reply| reply.status).is_some_and(|status| status.motion_active());
-        assert!(!(off && moving), "power off in motion at {:?}", pair[1].at);
-    }
 }
 
 #[test]
@@ -60,21 +48,6 @@ fn a_load_that_only_the_drive_holds_is_never_powered_off_by_the_master() {
 }
 
 #[test]
-fn the_application_cannot_drop_a_load_in_motion() {
-    for held_by in [HeldBy::Brake, HeldBy::Drive] {
-        let mut b = vertical(held_by).ready();
-        b.post(0, slowly_to(150.0));
-        b.run(200);
-        assert_eq!(b.failed(0, Command::Disable), Failure::LoadInMotion);
-        assert!(b.feedback(0).status.moving, "refused, it has replaced nothing");
-        b.done(0, Command::Stop { deceleration: None });
-        // At standstill it is the application's to decide: the load may be on its block.
-        b.done(0, Command::Disable);
-        assert_never_dropped(&b);
-    }
-}
-
-#[test]
 fn the_hardware_enable_is_seen_as_a_state_and_a_stop_of_its_own_name() {
     let mut b = Rig::new(2).each(|_, drive| drive.axis.stop.group = Some(1)).ready();
     let id = b.post(0, slowly_to(150.0));
@@ -96,35 +69,4 @@ fn the_hardware_enable_is_seen_as_a_state_and_a_stop_of_its_own_name() {
     assert_eq!(reported, [EventKind::HardwareEnable(false), EventKind::HardwareEnable(true)]);
     b.done(0, Command::Enable);
     b.done(0, to(20.0));
-}
-
-#[test]
-fn a_status_that_lags_behind_the_control_word_is_no_missing_hardware_enable() {
-    for (lag_ms, inhibit_after_ms, enabled) in
-        // Of two replies in a row, whatever the configured time is.
-        [(1, 10, true), (2, 10, true), (8, 10, true), (2, 0, true), (3, 0, false), (20, 10, false)]
-    {
-        let mut b = Rig::new(1)
-            .each(|_, drive| {
-                drive.simulate.status_lag_ns = lag_ms * MS;
-                drive.inhibit_after = Duration::from_millis(inhibit_after_ms);
-            })
-            .online();
-        let what = format!("{lag_ms} ms, {inhibit_after_ms} ms");
-        match enabled {
-            true => b.done(0, Command::Enable),
-            false => assert_eq!(b.failed(0, Command::Enable), Failure::Inhibited, "{what}"),
-        }
-        let reported = b.kinds(0).into_iter().any(|kind| matches!(kind, EventKind::HardwareEnable(_)));
-        assert_eq!(reported, !enabled, "{what}");
-    }
-}
-
-#[test]
-fn a_drive_that_boots_has_not_lost_its_hardware_enable() {
-    let mut b = Rig::new(1).ready();
-    b.world().restart(address(0));
-    b.run(400);
-    assert!(b.kinds(0).contains(&EventKind::Restarted));
-    assert!(!b.kinds(0).iter().any(|kind| matches!(kind, EventKind::HardwareEnable(_))));
 }

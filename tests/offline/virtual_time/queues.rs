@@ -68,25 +68,3 @@ fn events_that_find_no_room_are_counted() {
     b.step();
     assert_eq!(b.sim.status().lost_events, lost);
 }
-
-#[test]
-fn observers_read_what_the_axis_reads() {
-    let mut b = Rig::new(1).ready();
-    let observer = b.sim.axis(0).observer();
-    let other = observer.clone();
-    b.post(0, slowly_to(50.0));
-    for _ in 0..50 {
-        b.step();
-        assert_eq!(observer.feedback(), b.sim.axis(0).feedback());
-        assert_eq!(other.feedback(), b.feedback(0));
-        assert_eq!(observer.feedback().cycle + 1, b.status().executed);
-    }
-}
-
-#[test]
-fn warnings_come_and_go() {
-    let b = Rig::new(1).ready();
-    let warnings: Vec<_> =
-        b.kinds(0).into_iter().filter(|kind| matches!(kind, EventKind::Warning(_))).collect();
-    assert_eq!(warnings, [EventKind::Warning(0x80), EventKind::Warning(0)], "not homed, then homed");
-}

@@ -1,12 +1,12 @@
 //! Which reply answers which request: late, doubled, foreign and broken ones are counted and never matched. What holds
 //! for every bus stands in `conformance/replies`; here is what the loop makes of it, and what only LinUDP has.
 
-use fieldbeat::axis::{Command, Row, StopCause, Target};
+use fieldbeat::axis::{Command, Row, StopCause};
 use fieldbeat::bus::linudp::{MonitorPlan, ReplyTag, StatusWord};
 use fieldbeat::sim::{FaultPlan, WorldOptions};
 use fieldbeat::telemetry::{Counters, Numbers, Unmatched};
-use fieldbeat::time::{MS, US};
-use fieldbeat_linudp::wire::{Request, Response, ResponseDef};
+use fieldbeat::time::US;
+use fieldbeat_linudp::wire::{Response, ResponseDef};
 
 use crate::virtual_time::support::*;
 
@@ -30,74 +30,6 @@ fn counters(b: Bench) -> Counters {
     let missed: u64 = end.drives.iter().map(|drive| drive.counters.missed + drive.counters.unsent).sum();
     assert_eq!(end.status.missed, missed);
     counters
-}
-
-#[test]
-fn with_definitions_in_turn_a_reply_is_suspect_only_after_as_many_misses() {
-    for (monitor, turns) in [(MonitorPlan::Off, 8), (MonitorPlan::AsSet, 4)] {
-        for misses in [1, turns - 1, turns, turns + 3] {
-            let mut b = moving(Rig::new(1).each(|_, drive| {
-                drive.monitor = monitor;
-                drive.axis.health.bucket = 10_000;
-            }));
-            b.tape(0).mute = true;
-            b.run(misses);
-            b.tape(0).mute = false;
-            let suspect = misses >= turns;
-            b.step();
-            assert_eq!(
-                (b.feedback(0).age, b.feedback(0).status.suspect),
-                (u32::from(suspect), suspect),
-                "{misses}"
-            );
-            b.assert_honest(0);
-            for _ in 0..20 {
-                b.step();
-                assert_eq!(
-                    (b.feedback(0).age, b.feedback(0).status.suspect),
-                    (0, false),
-                    "once, {misses} misses"
-                );
-                b.assert_honest(0);
-            }
-            let c = counters(b);
-            assert_eq!((c.missed, c.suspect, c.late, c.duplicate), (misses, suspect.into(), 0, 0));
-        }
-    }
-}
-
-#[test]
-fn a_burst_of_all_late_replies_at_once_is_never_taken_for_the_newest() {
-    // A drive that did not come to answer for so many cycles, and then answers everything that waited: in the window of
-    // the newest request, in order.
-    for (late, within) in (1..20).flat_map(|late| [(late, 1), (late, 2)]) {
-        let mut b = moving(Rig::new(1).each(|_, drive| {
-            (drive.axis.health.bucket, drive.reply_within) = (10_000, Some(within));
-        }));
-        b.tape(0).mute = true;
-        b.tape(0).received.clear();
-        b.run(late);
-        b.tape(0).mute = false;
-        let waiting: Vec<Response> =
-            b.tape(0).received.iter().filter_map(|received| received.reply).collect();
-        for (n, reply) in (0_u64..).zip(&waiting) {
-            let mut bytes = [0; 64];
-            let size = reply.emit(&mut bytes);
-            // Before the true reply, 40 us after the request.
-            b.world().inject(MASTER, address(0), &bytes[..size], b.grid() + MS + 10 * US + n);
-        }
-        for _ in 0..20 {
-            b.step();
-            if !b.feedback(0).status.suspect {
-                b.assert_honest(0);
-            }
-        }
-        let c = counters(b);
-        // The reply of the cycle before answers its request, if it counts so long.
-        let behind = u64::from(within) - 1;
-        assert_eq!(c.own[0], behind, "{late}: {c:?}");
-        assert_eq!((c.missed, c.late, c.duplicate), (late - behind, late - behind, 0), "{late}: {c:?}");
-    }
 }
 
 #[test]
@@ -191,46 +123,6 @@ fn what_waits_in_the_socket_before_the_first_request_is_no_reply() {
 }
 
 #[test]
-fn padding_and_what_stands_in_it_mean_nothing() {
-    for padding in [0, 14, 64] {
-        let mut b = moving(Rig::new(1).each(|_, drive| drive.simulate.padding = padding));
-        b.tape(0).tamper = Some(Box::new(|reply| reply.extend([0xFF; 30])));
-        for _ in 0..50 {
-            b.step();
-            b.assert_honest(0);
-            // Twice the latency, and a few readings of the clock.
-            assert_near(f64::from(b.feedback(0).rtt_ns.unwrap()), 40e3, 500.0);
-        }
-        let c = counters(b);
-        assert_eq!(c, Counters { sent: c.sent, answered: c.sent, ..Counters::default() });
-    }
-}
-
-#[test]
-fn a_request_carries_exactly_what_is_needed() {
-    let needed = ResponseDef(0x1F);
-    let turns = ResponseDef::ERROR.with(ResponseDef::WARN).with(ResponseDef::MONITOR);
-    for tag in [ReplyTag::Definition, ReplyTag::Off] {
-        let mut b = moving(Rig::new(1).each(|_, drive| drive.reply_tag = tag));
-        b.run(16);
-        let received: Vec<Request> =
-            b.tape(0).received.iter().rev().take(16).map(|received| received.request).collect();
-        assert!(received.iter().all(|r| r.control.is_some() && r.motion.is_none() && r.config.is_none()));
-        let requested: Vec<ResponseDef> = received.iter().map(|request| request.response_def).collect();
-        if tag == ReplyTag::Off {
-            assert_eq!(requested, [ResponseDef::CYCLIC; 16]);
-            continue;
-        }
-        // Any eight in a row have eight definitions, without a block that nothing needs but those in turn.
-        assert_eq!(requested[..8], requested[8..]);
-        for (n, definition) in requested[..8].iter().enumerate() {
-            assert_eq!(definition.0 & !turns.0, needed.0);
-            assert!(!requested[..n].contains(definition), "{requested:?}");
-        }
-    }
-}
-
-#[test]
 fn what_the_system_drops_and_refuses_to_give_is_counted_and_stops_nobody() {
     let mut b = moving(Rig::new(2));
     b.tape(0).dropped = 3;
@@ -240,28 +132,4 @@ fn what_the_system_drops_and_refuses_to_give_is_counted_and_stops_nobody() {
     let end = b.finish();
     let Unmatched { datagrams, dropped, errors } = end.buses[0].1;
     assert_eq!((datagrams, dropped, errors), (0, 3, 1));
-}
-
-#[test]
-fn a_velocity_is_the_way_between_two_requests_whenever_their_replies_are_received() {
-    // The master wakes up late, for its sends as for its replies, by up to a third of a period; what the drive reports
-    // is where it was when it had the request.
-    let mut rig = Rig::new(1);
-    rig.options = WorldOptions { wake_ns: 300 * US, seed: 7, ..rig.options };
-    let mut b = rig.cycle(|cycle| cycle.receive_deadline = 0.8).ready();
-    b.done(0, to(10.0));
-    b.post(0, with(Target::Absolute(190.0), 100.0, 5_000.0));
-    b.run(100);
-    let mut seen = Vec::new();
-    for _ in 0..1_000 {
-        b.step();
-        if b.feedback(0).age == 0 {
-            seen.push(b.feedback(0).status.velocity);
-        }
-    }
-    let late = b.status().wake_max.ns;
-    assert!(seen.len() > 900 && late > 200 * US, "{} of 1000, {late} ns", seen.len());
-    let (least, most) =
-        seen.iter().fold((f64::MAX, f64::MIN), |(least, most), v| (least.min(*v), most.max(*v)));
-    assert!(least > 99.0 && most < 101.0, "{least} ... {most} mm/s");
 }

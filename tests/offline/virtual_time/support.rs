@@ -9,9 +9,9 @@ use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;
 
 use fieldbeat::axis::{
-    Abort, Axis, AxisError, AxisPlan, Command, CommandId, Event, EventKind, Failure, Feedback, Group,
-    GroupCommand, Jog, Limits, Link, Move, Outcome, Profile, Row, StopCause, StopHow, StopPlan, StopThen,
-    StopTimeout, Target, Units,
+    Abort, Axis, AxisPlan, Command, CommandId, Event, EventKind, Failure, Feedback, Group, GroupCommand, Jog,
+    Limits, Link, Move, Outcome, Profile, Row, StopCause, StopHow, StopPlan, StopThen, StopTimeout, Target,
+    Units,
 };
 use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::linudp::{
@@ -563,11 +563,6 @@ impl Bench {
         self.sim.axis(index).post(command).unwrap_or_else(|error| panic!("{error}"))
     }
 
-    /// Why it is refused on submission.
-    pub fn refused(&mut self, index: usize, command: Command) -> Failure {
-        refused(self.sim.axis(index), command)
-    }
-
     pub fn outcome(&self, index: usize, id: CommandId) -> Option<Outcome> {
         self.ends.get(&(index, id.0)).copied()
     }
@@ -704,12 +699,4 @@ pub fn row(position: f64) -> Row {
 
 pub fn assert_near(value: f64, expected: f64, within: f64) {
     assert!((value - expected).abs() <= within, "{value} is not within {within} of {expected}");
-}
-
-/// Why `axis` refuses this on submission.
-pub fn refused(axis: &mut Axis, command: Command) -> Failure {
-    match axis.post(command) {
-        Err(AxisError::Refused { failure, .. }) => failure,
-        taken => panic!("{command:?}: {taken:?}"),
-    }
 }

@@ -1,6 +1,6 @@
 //! When the application grows silent: velocities too old, jogs that nobody holds, and its heartbeat.
 
-use fieldbeat::axis::{Abort, Command, Failure, Outcome, StopCause};
+use fieldbeat::axis::{Abort, Command, Outcome, StopCause};
 use fieldbeat::time::MS;
 
 use crate::virtual_time::support::*;
@@ -29,25 +29,6 @@ fn a_velocity_that_is_too_old_stops_the_axis_in_the_cycle_that_was_said() {
         b.run(200);
         assert!(!b.feedback(0).status.state.is_powered());
     }
-}
-
-#[test]
-fn velocities_beyond_the_limits_are_refused_at_the_door() {
-    let mut b = Rig::new(1).ready();
-    for value in [f64::NAN, f64::INFINITY, 1_000.1, -1_000.1] {
-        assert!(b.sim.axis(0).set_velocity(value).is_err(), "{value}");
-    }
-    assert!(b.sim.axis(0).post(Command::Velocity { acceleration: 0.0 }).is_err());
-    assert!(b.sim.axis(0).post(Command::Velocity { acceleration: 20_001.0 }).is_err());
-    // Faster than the leash lets it brake: only the drive's protocol knows.
-    let id = b.post(0, VELOCITY);
-    for _ in 0..10 {
-        b.sim.axis(0).set_velocity(900.0).unwrap();
-        b.step();
-    }
-    assert!(matches!(b.outcome(0, id), Some(Outcome::Failed(Failure::Limit { .. }))));
-    // The newest always has its place.
-    assert!((0..1_000).all(|_| b.sim.axis(0).set_velocity(1.0).is_ok()));
 }
 
 #[test]
@@ -110,25 +91,6 @@ fn a_silent_application_stops_what_is_enabled_and_nothing_else() {
     assert_eq!(b.feedback(1).stopped, None, "it was not enabled");
     b.run(300);
     assert!(!b.feedback(0).status.state.is_powered());
-}
-
-#[test]
-fn a_velocity_that_is_newer_than_its_jog_counts() {
-    let mut b = Rig::new(1).ready();
-    b.done(0, to(100.0));
-    // Pressed and released within one cycle.
-    b.post(0, jog(40.0));
-    set(&mut b, 0.0);
-    b.run(300);
-    assert!(!b.feedback(0).status.moving);
-    // While it waits for its turn, too.
-    b.done(0, Command::Stop { deceleration: None });
-    let homing = b.post(0, Command::Home);
-    b.post(0, jog(40.0));
-    set(&mut b, 25.0);
-    b.ended(0, homing);
-    b.run(300);
-    assert_near(b.feedback(0).status.velocity, 25.0, 1.0);
 }
 
 #[test]

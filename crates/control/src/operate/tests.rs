@@ -3,7 +3,7 @@
 use super::operated::Operated;
 use super::operation::Operation;
 use super::*;
-use fieldbeat_core::axis::{Link, StopCause};
+use fieldbeat_core::axis::Link;
 use fieldbeat_core::cycle::Plan;
 use fieldbeat_core::time::{MS, Time};
 use fieldbeat_master::Master;
@@ -438,18 +438,6 @@ fn an_axis_that_holds_after_a_stop_holds_when_its_operator_has_left() {
         // The next operator may have it.
         bench.must(Request::Take { name: "two".into() });
     }
-}
-
-#[test]
-fn without_its_thread_the_dead_man_of_the_axis_ends_a_jog() {
-    let mut bench = Bench::linmot().ready();
-    let jog = bench.jog(SPEED);
-    assert!(bench.hold_for(jog, 300));
-    bench.looks = false;
-    // 500 ms unless the file says otherwise.
-    bench.silence(500 + 10 + bench.ramp_ms);
-    assert!(bench.stands(), "{:?}", bench.machine.feedback(0));
-    assert_eq!(bench.machine.feedback(0).stopped, Some(StopCause::DeadMan));
 }
 
 #[test]

@@ -116,17 +116,6 @@ mod tests {
     }
 
     #[test]
-    fn only_the_newest_is_taken_and_once() {
-        let (mut input, mut output) = newest(3);
-        assert_eq!(taken(&mut output), None);
-        for last in [1, 2, 3, 7, 100] {
-            (0..=last).for_each(|n| input.write(&set(n)));
-            assert_eq!([taken(&mut output), taken(&mut output)], [Some(set(last)), None]);
-        }
-        assert_eq!(output.part(3), None);
-    }
-
-    #[test]
     fn a_reader_meets_whole_sets_in_rising_order_and_the_last_one() {
         let (mut input, mut output) = newest(3);
         const LAST: u64 = 200_000;

@@ -210,37 +210,6 @@ mod tests {
     }
 
     #[test]
-    fn a_drive_that_answers_is_as_it_reports() {
-        use State::{Fault, FaultReactionActive, OperationEnabled, SwitchOnDisabled, SwitchedOn, Unknown};
-        for (state, velocity, expected) in [
-            (SwitchOnDisabled, 0.9, Some(Condition::Off)),
-            (SwitchOnDisabled, f64::NAN, Some(Condition::Off)),
-            // It coasts, or falls.
-            (SwitchOnDisabled, -1.1, Some(Condition::Moving)),
-            (Fault, 0.0, Some(Condition::Off)),
-            (Fault, 1.1, Some(Condition::Moving)),
-            (SwitchedOn, 0.0, Some(Condition::Powered)),
-            (FaultReactionActive, 0.0, Some(Condition::Powered)),
-            (OperationEnabled, f64::NAN, Some(Condition::Powered)),
-            (OperationEnabled, -1.1, Some(Condition::Moving)),
-            (Unknown, 0.0, Some(Condition::Unknown)),
-        ] {
-            for link in [Link::Online, Link::Qualifying] {
-                let feedback = seen(link, state, velocity);
-                assert_eq!(condition(OURS, &feedback), expected, "{link} {state} {velocity}");
-                // A later report shows that it is off.
-                let rising = Known { may_rise: true, ..OURS };
-                assert_eq!(condition(rising, &feedback), expected, "{link} {state} {velocity}");
-            }
-        }
-        let mut feedback = seen(Link::Online, OperationEnabled, 0.0);
-        feedback.status.moving = true;
-        assert_eq!(condition(OURS, &feedback), Some(Condition::Moving));
-        feedback.status.state = SwitchOnDisabled;
-        assert_eq!(condition(OURS, &feedback), Some(Condition::Off), "no generator moves it");
-    }
-
-    #[test]
     fn only_what_is_held_as_planned_is_held_and_what_is_silent_is_off_only_if_nothing_can_have_powered_it() {
         use State::{OperationEnabled, ReadyToSwitchOn, SwitchOnDisabled, Unknown};
         let holds = Known { holds: true, ..OURS };

@@ -232,17 +232,6 @@ mod tests {
         }
     }
 
-    #[test]
-    fn ten_good_exchanges_bring_it_up_and_one_miss_starts_over() {
-        let mut health = unseen(1, 0, 3, Probes::Spaced);
-        assert_eq!(health.due(0..110, true), [3, 103]);
-        health.good(9, 0);
-        assert_eq!(health.link(), Link::Qualifying);
-        health.missed(120, false);
-        assert_eq!(health.link(), Link::Unseen);
-        assert!(!health.is_due(219) && health.is_due(220));
-    }
-
     /// A link of these rules that has just come up.
     fn up(bucket: u32, leak: u32) -> LinkHealth {
         let rules = Health { bucket, leak, gate: 1, ..Health::default() };
@@ -398,24 +387,6 @@ mod tests {
         assert_eq!(health.due(10..111, true), [10, 110]);
         health.good(10, 0);
         assert_eq!(health.due(0..12, true), [3, 7, 11]);
-    }
-
-    #[test]
-    fn a_drive_with_its_own_clock_is_sent_its_requests_in_all_its_slots_as_long_as_they_leave() {
-        let mut health = unseen(4, 3, 1, Probes::AtOwnRate);
-        // The first at once, and none of them is a probe.
-        assert_eq!(health.due(0..20, true), [1, 3, 7, 11, 15, 19]);
-        // Without a connection nothing leaves: then one attempt an interval.
-        assert_eq!(health.due(20..230, false), [23, 123, 223]);
-        health.reachable(230);
-        health.good(10, 230);
-        assert_eq!(health.link(), Link::Online);
-        health.bad(5, 232);
-        assert_eq!(health.link(), Link::Lost);
-        // The stop goes at the agreed rate, too: in its own slot, or the first one behind it that is executed.
-        let due: Vec<u64> = (233..244).filter(|index| health.is_due(*index)).collect();
-        assert_eq!(due, (235..244).collect::<Vec<_>>());
-        assert_eq!(health.due(235..240, true), [235, 239]);
     }
 
     #[test]

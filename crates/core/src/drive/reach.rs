@@ -285,21 +285,6 @@ mod tests {
     }
 
     #[test]
-    fn the_speed_between_a_held_report_and_the_next_one_is_none() {
-        let mut line = Line::new(&plan(), 10.0);
-        line.at(10.05);
-        line.at(349.0);
-        // As a station makes it of the two positions.
-        (line.velocity, line.evidence.demand_velocity) = (-338_900.0, -338_900.0);
-        assert_eq!(line.at(10.1), Counts);
-        assert!((line.velocity - 25.0).abs() < 1e-6 && (line.evidence.demand_velocity - 25.0).abs() < 1e-6);
-        line.at(349.0);
-        line.velocity = 338_900.0;
-        assert_eq!(line.at(349.1), Jumped(349.1 - 10.1));
-        assert!((line.velocity - 100.0).abs() < 1e-6, "{}", line.velocity);
-    }
-
-    #[test]
     fn only_what_no_axis_reaches_is_out_of_reach_without_a_limit_or_without_power() {
         for (unit, limit, bound, places) in [
             (Unit::Millimetre, None, Bound::Plan, [0.0, 59.9, 120.0]),

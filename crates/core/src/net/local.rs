@@ -188,35 +188,6 @@ mod tests {
     }
 
     #[test]
-    fn a_line_that_is_gone_is_down_and_comes_back_by_itself() {
-        let name = own("gone");
-        let mut master = Local::open(&name).unwrap();
-        assert_eq!(master.send(&[1]), Err(Unsent::Down));
-        for byte in 1..4 {
-            let mut line = Local::serve(&name).unwrap();
-            assert!(master.send(&[byte]).is_ok());
-            assert_eq!(receive(&mut line), Some(vec![byte]));
-            line.send(&[byte]).unwrap();
-            assert_eq!(receive(&mut master), Some(vec![byte]));
-            drop(line);
-            assert_eq!(master.send(&[byte]), Err(Unsent::Down));
-        }
-        let mut line = Local::serve(&name).unwrap();
-        assert!(master.send(&[8]).is_ok() && receive(&mut line).is_some());
-        drop(master);
-        assert_eq!(line.send(&[9]), Err(Unsent::Down), "and so is a master");
-    }
-
-    #[test]
-    fn a_line_that_does_not_read_fills_up_and_nobody_waits() {
-        let (mut line, mut master) = both("full");
-        let end = (0..1_000_000).map(|_| master.send(&[1; 60])).find_map(Result::err);
-        assert_eq!(end, Some(Unsent::Full));
-        while receive(&mut line).is_some() {}
-        assert!(master.send(&[1; 60]).is_ok());
-    }
-
-    #[test]
     fn a_name_is_served_once_and_has_a_length() {
         let name = own("twice");
         let first = Local::serve(&name).unwrap();

@@ -166,19 +166,6 @@ mod tests {
     }
 
     #[test]
-    fn a_segment_and_its_lock_have_different_addresses_and_the_longest_name_fits() {
-        let name = format!("local:{}-{}", "n".repeat(70), std::process::id());
-        let segment = local::Local::serve(local::name(&name).unwrap()).unwrap();
-        let lock = Place::Interface(&name).lock().unwrap();
-        assert!(lock.is_held());
-        drop(segment);
-        let longest = format!("local:{}", "n".repeat(91));
-        assert!(Place::Interface(&longest).lock().unwrap().is_held());
-        assert!(local::Local::open(local::name(&longest).unwrap()).is_ok());
-        assert!(local::Local::open(local::name(&format!("{longest}n")).unwrap()).is_err());
-    }
-
-    #[test]
     fn an_interface_counts_by_its_number_and_what_does_not_exist_needs_no_lock() {
         assert_eq!(Place::Interface("lo").key().unwrap(), "fieldbeat-interface/1");
         assert!(!Place::Interface("nosuch0").lock().unwrap().is_held());

@@ -325,20 +325,6 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_serial_port_is_refused() {
-        let file = tempfile::NamedTempFile::new().unwrap();
-        for (path, why) in [
-            ("/dev/no-such-port", "there is no serial port /dev/no-such-port"),
-            ("/dev/null", "/dev/null is no serial port"),
-            ("/", "is no serial port"),
-            (file.path().to_str().unwrap(), "is no serial port"),
-        ] {
-            let text = open(path, &LINE).unwrap_err().to_string();
-            assert!(text.contains(why), "{text}");
-        }
-    }
-
-    #[test]
     fn a_rate_may_be_three_parts_in_a_thousand_off() {
         assert!(is_near(1_500_000, 1_495_500) && is_near(1_500_000, 1_504_500));
         assert!(!is_near(1_500_000, 1_495_499) && !is_near(1_500_000, 1_504_501));

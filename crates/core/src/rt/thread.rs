@@ -354,19 +354,6 @@ mod tests {
         }
     }
 
-    /// As with `isolcpus=`: outside the thread's own set, inside what the kernel grants.
-    #[test]
-    fn a_named_core_may_lie_outside_the_present_set() {
-        on_a_thread(|| {
-            let all = permitted_cores();
-            pin(all[0]).unwrap();
-            assert_eq!(default_core(), Some(all[0]));
-            let last = *all.last().unwrap();
-            pin(last).unwrap();
-            assert_eq!(cores(), [last]);
-        });
-    }
-
     #[test]
     fn a_helper_leaves_the_core_of_the_loop() {
         on_a_thread(|| {

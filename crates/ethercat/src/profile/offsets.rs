@@ -274,16 +274,4 @@ mod tests {
         (akd.mode, akd.native) = (Some(Mode::CYCLIC_POSITION), true);
         assert_eq!(built(&Offsets::new(&akd))[..7], [0x0F, 0, 8, 9, 0, 0, 0]);
     }
-
-    #[test]
-    fn areas_that_are_too_short_are_neither_read_nor_written_beyond() {
-        let offsets = Offsets::new(&drive(Family::S700, 0x1702, 0x1B03));
-        for length in 0..6 {
-            let mut outputs = vec![0; length];
-            offsets.fill(&mut outputs);
-            offsets.write(0x0F, -1, &mut outputs);
-        }
-        assert!((0..8).all(|length| offsets.status(&vec![0; length]).is_none()));
-        assert_eq!((offsets.position(&[0; 3]), offsets.torque(&[0; 5])), (None, None));
-    }
 }

@@ -298,13 +298,6 @@ mod tests {
     }
 
     #[test]
-    fn delays_add_up_along_a_line() {
-        let line = Slave::line(&[100, 500, 700, 20]).unwrap();
-        assert_eq!(found(&line.seen(), 3), [0, 500, 1_200], "what is behind the last one counts not");
-        assert_eq!(found(&line.seen(), 6), [0, 500, 1_200, 1_220, 0, 0], "nobody is there");
-    }
-
-    #[test]
     fn a_slave_without_receive_times_counts_as_cable_and_shares_it() {
         let mut line = Slave::line(&[0, 500, 700, 300]).unwrap();
         line.behind[1].as_mut().unwrap().untimed = true;

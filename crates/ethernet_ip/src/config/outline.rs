@@ -73,19 +73,3 @@ fn found(device: &Device) -> Found {
         }
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::config::scan::specimen;
-
-    #[test]
-    fn only_devices_of_the_vendor_are_drives() {
-        let mut device = specimen();
-        let known = [("address", "192.168.1.40"), ("product", "176"), ("serial", "0x00c0ffee")];
-        assert_eq!(found(&device).lines, known.map(|(key, value)| (key, value.to_owned())));
-        assert_eq!(found(&device).what, "STF05-IP at 192.168.1.40");
-        device.vendor = 1;
-        assert_eq!(found(&device).lines, []);
-    }
-}

@@ -72,22 +72,6 @@ fn only_a_clean_reply_to_a_request_with_the_command_is_its_echo() {
 }
 
 #[test]
-fn the_command_of_another_master_is_not_answered_by_a_motion_before_it_is_known_as_one() {
-    // A stop is sent again at once; a motion, when nobody else will do it.
-    for (command, replies) in [(STOP, 1), (MotionCommand::new(0x010), ECHO_WITHIN + 1)] {
-        let mut channel = agreed(3);
-        channel.send(command);
-        channel.sent();
-        assert!(after(&mut channel, &[4]));
-        let again = (1..).find(|_| {
-            channel.take(11, true, true).unwrap();
-            channel.count == Some(5)
-        });
-        assert_eq!((again, channel.is_accepted()), (Some(replies), false));
-    }
-}
-
-#[test]
 fn a_command_that_another_one_has_replaced_is_sent_again() {
     let mut channel = commanded(3);
     assert!(!after(&mut channel, &[4, 2]), "an old request was delivered once more");

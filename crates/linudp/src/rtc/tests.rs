@@ -93,24 +93,6 @@ fn status(code: u8) -> impl Fn(RtcBlock) -> Option<RtcBlock> {
 }
 
 #[test]
-fn the_stored_count_is_learned_before_the_first_call() {
-    let mut b = Bench::new();
-    assert_eq!(b.turn(done), None, "nothing to say");
-    let mut ticket = b.post(READ);
-    // The drive answers with what another master left there until it takes the new count.
-    let left = |_| Some(RtcBlock { words: [0x20A8, 7, 7], ..RtcBlock::answer(9, RtcStatus::DONE) });
-    for _ in 0..3 {
-        let block = b.turn(left).unwrap();
-        assert_eq!((block.code, block.count()), (RtcCommand::NO_OPERATION.0, 1));
-    }
-    b.turn(done);
-    let block =
-        b.turn(|block| Some(RtcBlock { words: [0x20A8, 5, 0], ..RtcBlock::answer(block.count(), 0) }));
-    assert_eq!(block, Some(RtcBlock::call(2, RtcCommand::READ_RAM, 0x20A8, 0)));
-    assert_eq!(ticket.poll().unwrap().unwrap().value, 5);
-}
-
-#[test]
 fn busy_is_waited_for_and_an_answer_of_another_index_is_not_ours() {
     let mut b = Bench::learned();
     let mut ticket = b.post(READ);
@@ -125,58 +107,6 @@ fn busy_is_waited_for_and_an_answer_of_another_index_is_not_ours() {
     counts.extend(b.turn(done).map(|block| block.count()));
     assert!(counts.windows(2).all(|pair| pair[0] == pair[1]), "one command, one count: {counts:?}");
     assert!(ticket.poll().unwrap().is_ok());
-}
-
-#[test]
-fn a_command_that_is_not_taken_goes_out_with_another_count_and_is_given_up_in_its_time() {
-    let mut b = Bench::learned();
-    let mut ticket = b.post(READ);
-    let mut counts = Vec::new();
-    let begun = b.now;
-    let end = loop {
-        // The drive goes on saying what it has stored.
-        let block = b.turn(|_| Some(RtcBlock::answer(2, RtcStatus::DONE)));
-        counts.extend(block.map(|block| block.count()));
-        if let Some(end) = ticket.poll() {
-            break end;
-        }
-    };
-    assert_eq!(end, Err(CallError::TimedOut));
-    assert_eq!(b.now.since(begun) / MS, 1_002);
-    counts.dedup();
-    assert_eq!(counts, [3, 4, 5, 6, 7], "a new one each 200 ms, never the one that the drive has stored");
-    // Without replies the count stays.
-    let mut b = Bench::learned();
-    let mut ticket = b.post(READ);
-    (0..900).for_each(|_| assert_eq!(b.turn(|_| None).map(|block| block.count()), Some(3)));
-    b.turn(done);
-    assert!(ticket.poll().unwrap().is_ok());
-}
-
-#[test]
-fn a_refusal_is_the_drives_own_and_leaves_the_channel_as_it_is() {
-    let mut b = Bench::learned();
-    let mut tickets = [b.post(READ), b.post(READ)];
-    b.turn(status(0xC2));
-    assert_eq!(tickets[0].poll(), Some(Err(CallError::Refused(0xC2))));
-    assert_eq!(b.turn(done).map(|block| block.count()), Some(4), "not learned anew");
-    assert!(tickets[1].poll().unwrap().is_ok());
-}
-
-#[test]
-fn a_call_that_is_cancelled_or_loses_its_link_is_over_at_once_and_the_channel_is_learned_anew() {
-    let mut b = Bench::learned();
-    let mut ticket = b.post(READ);
-    b.turn(status(RtcStatus::BUSY));
-    ticket.cancel();
-    assert_eq!(b.turn(status(RtcStatus::BUSY)), None);
-    assert_eq!(ticket.poll(), Some(Err(CallError::Cancelled)));
-    let mut next = b.post(READ);
-    assert_eq!(b.turn(done).map(|block| block.code), Some(RtcCommand::NO_OPERATION.0));
-    assert_eq!(b.turn(status(RtcStatus::BUSY)).map(|block| block.code), Some(RtcCommand::READ_RAM.0));
-    b.link = Link::Lost;
-    assert_eq!(b.turn(|_| None), None);
-    assert_eq!(next.poll(), Some(Err(CallError::NotOnline)));
 }
 
 #[test]
@@ -271,22 +201,6 @@ fn a_save_goes_out_once_into_a_silence_and_is_asked_for_by_its_count_after_it() 
         assert_eq!(b.turn(|_| Some(RtcBlock::answer(2, RtcStatus::DONE))), sent);
     }
     b.turn(done);
-    assert_eq!(ticket.poll().unwrap().unwrap().status, 0);
-}
-
-#[test]
-fn a_restart_is_done_when_it_is_answered_or_the_drive_is_seen_to_boot() {
-    let mut b = Bench::learned();
-    let mut ticket = b.post(call(RtcCommand::RESTART, 0, 0));
-    let sent = b.turn(|_| None);
-    assert_eq!(sent.map(|block| block.code), Some(RtcCommand::RESTART.0));
-    assert_eq!(b.turn(|_| None), None, "it may be doing it");
-    b.channel.take_none(false);
-    assert_eq!(b.turn(|_| None), sent, "it answers, so it is not");
-    b.link = Link::Lost;
-    (0..9).for_each(|_| assert_ne!(b.turn(|_| None), sent));
-    assert_eq!(ticket.poll(), None, "a lost link is no restart");
-    b.channel.drive_restarted();
     assert_eq!(ticket.poll().unwrap().unwrap().status, 0);
 }
 

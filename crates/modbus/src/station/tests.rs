@@ -1,13 +1,10 @@
 //! Requests written over others, and replies recognised at once.
 
-use super::Blocks;
 use super::receive::Expected;
-use super::request::{Template, put};
+use super::request::put;
 use crate::mapping::{Block, Places};
 use crate::parameter::{Parameter, Width};
-use crate::profile::Outputs;
-use crate::wire::{ADU_MAX, Header, RegistersBuffer, Request, Response, function};
-use crate::words::ControlWord;
+use crate::wire::{ADU_MAX, Header, RegistersBuffer, Response, function};
 
 const HEADER: Header = Header { transaction: 0x1234, unit: 255 };
 
@@ -15,29 +12,6 @@ fn data(values: &[i32]) -> RegistersBuffer {
     let mut data = RegistersBuffer::new();
     values.iter().for_each(|value| assert!(data.push_long(*value)));
     data
-}
-
-#[test]
-fn a_refilled_request_is_the_one_that_would_be_built() {
-    let request = |values: &[i32], header: Header, out: &mut [u8; ADU_MAX]| {
-        let data = data(values);
-        let data = data.registers();
-        Request::ReadWrite { read: 0x4000, count: 12, write: 0x4000, data }.emit(header, out)
-    };
-    let (mut refilled, mut built) = ([0; ADU_MAX], [0; ADU_MAX]);
-    let length = request(&[1, -2], HEADER, &mut refilled);
-    let template = Template {
-        blocks: Blocks::default(),
-        only: true,
-        length,
-        control: Some((length as u8 - 8, Width::Long)),
-        reference: Some((length as u8 - 4, Width::Long)),
-        expected: Expected::default(),
-    };
-    let outputs = Outputs { control: ControlWord(0x8183), reference: 123_456_789 };
-    template.refill(&mut refilled, 0xABCD, outputs);
-    request(&[0x8183, 123_456_789], Header { transaction: 0xABCD, ..HEADER }, &mut built);
-    assert_eq!(refilled, built);
 }
 
 #[test]

@@ -2,11 +2,8 @@
 
 use std::time::Duration;
 
-use proptest::collection::vec;
-use proptest::prelude::*;
-
 use super::super::plan::Numbers;
-use super::super::target::{BROKEN, BROKEN_WRITE, Kind, commanding};
+use super::super::target::{BROKEN, Kind, commanding};
 use super::*;
 use std::sync::Arc;
 
@@ -191,43 +188,6 @@ fn without_a_path_a_call_is_refused_and_says_why() {
             for ticket in &mut tickets {
                 assert_eq!(ticket.poll(), Some(Err(CallError::NotOnline)), "{path:?} {link:?}");
             }
-        }
-    }
-}
-
-proptest! {
-    /// Whatever a drive answers, the calls end, each once, and its access is idle afterwards.
-    #[test]
-    fn calls_end_whatever_is_answered(
-        path in prop_oneof![Just(PKW), Just(ParameterPath::Drivecom), Just(MSAC1)],
-        calls in vec((1..=6_u32, prop_oneof![
-            Just(C0061), Just(C0039_2), Just(code(200, 0, Kind::Text)), Just(0xFF00_0003)], 0..20_u64), 1..6),
-        answers in vec((0..6_u8, any::<[u8; CHANNEL]>(), vec(any::<u8>(), 0..40)), 1..40),
-        mirrored: bool,
-    ) {
-        let mut side = Side::new(path);
-        let mut tickets = side.series(&calls);
-        for turn in 0..16_000 {
-            // Noise at first, then a drive that shows no job, and acknowledges.
-            let (kind, channel, data) = answers.get(turn).cloned().unwrap_or((0, [0; CHANNEL], Vec::new()));
-            match (side.turn(), kind) {
-                (Sent::Exchange(_), 5) => side.access.lost(Turn::DataExchange),
-                (Sent::Exchange(out), 4) if mirrored => side.access.channel_answered(&out),
-                (Sent::Exchange(_), _) => side.access.channel_answered(&channel),
-                (Sent::Msac1(_), 5) => side.access.lost(Turn::Msac1),
-                (Sent::Msac1(_), 4) => side.access.ended(),
-                (Sent::Msac1(_), 3) => side.access.answered(side.now, Answer::Refused(channel[0])),
-                (Sent::Msac1(sent), 2) if mirrored => side.access.answered(side.now, Answer::Data(&sent)),
-                (Sent::Msac1(_), 1 | 2) => side.access.answered(side.now, Answer::Data(&data)),
-                (Sent::Msac1(_), _) => side.access.answered(side.now, Answer::Acknowledged),
-            }
-            if side.access.is_idle() && turn > answers.len() {
-                break;
-            }
-        }
-        prop_assert!(side.access.is_idle());
-        for ticket in &mut tickets {
-            prop_assert!(ticket.poll().is_some());
         }
     }
 }

@@ -173,22 +173,6 @@ fn an_answer_that_is_read_late_has_ended_by_max_tsdr() {
 }
 
 #[test]
-fn a_request_without_an_answer_is_repeated_byte_for_byte_and_then_fails() {
-    let mut rig = Rig::up(|plan| plan.retries = 2);
-    rig.request();
-    for left in [2, 1, 0] {
-        rig.is_overdue(Instead::Silence, left == 0);
-    }
-    assert_eq!(rig.line.ready(rig.now), Ready::Free);
-    // The slot time is 300 bits behind the last byte of the request.
-    rig.request();
-    rig.now = rig.now + 154 * US + 200 * US - US;
-    assert_eq!(rig.line.ready(rig.now), Ready::Wait);
-    rig.idle();
-    assert!(matches!(rig.line.ready(rig.now), Ready::Overdue { .. }));
-}
-
-#[test]
 fn what_is_late_answers_nothing_and_puts_off_the_next_telegram() {
     let mut rig = Rig::up(|plan| plan.retries = 0);
     rig.request();

@@ -144,31 +144,6 @@ fn phases_count() {
 }
 
 #[test]
-fn the_longest_wait_is_that_for_all_others_with_their_repetitions() {
-    let mut plan = wire(1_500_000, 2);
-    (plan.token, plan.gap) = (false, None);
-    let (bit, byte) = (2_000.0 / 3.0, 22_000.0 / 3.0);
-    // A try ends with its answer at MaxTsdr, since that is later than the slot time.
-    let once = 42.0 * byte + 183.0 * bit;
-    let control = 13.0 * byte + 150.0 * bit;
-    // In the first window Global_Control and one try, then two in each.
-    assert!(control + once > 500e3 && control < 500e3);
-    let expected = 2e6 + once;
-    let within = plan.turn_within(1, USUAL) as f64;
-    assert!((within - expected).abs() < 10.0, "{within}, {expected}");
-    // It is over in the third cycle.
-    assert_eq!(USUAL.cycles_behind(plan.turn_within(1, USUAL)), 2);
-    // One record of MSAC1 among all turns.
-    by_records(&mut plan.drives[0]);
-    let record = (255.0 + 15.0) * byte + 183.0 * bit;
-    let within = plan.turn_within(1, USUAL) as f64;
-    // It is sent twice, from 0.2 ms to 4.4 ms, then two tries of the other one begin at 4.4 and at 5 ms.
-    assert!((control + 2.0 * record + once - 4.83e6).abs() < 10e3);
-    assert!((within - (5e6 + once)).abs() < 10.0, "{within}");
-    assert_eq!(wire(1_500_000, 0).turn_within(0, USUAL), 0);
-}
-
-#[test]
 fn global_control_is_ahead_of_no_drive_of_a_wire_that_catches_up() {
     let mut plan = wire(1_500_000, 2);
     let (bit, byte) = (2_000.0 / 3.0, 22_000.0 / 3.0);

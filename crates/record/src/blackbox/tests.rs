@@ -181,23 +181,3 @@ fn a_run_that_the_program_itself_ended_has_a_file_and_no_second_one() {
         assert_eq!(written.why == "the loop panicked", !failed_before, "{written:?}");
     }
 }
-
-#[test]
-fn a_missing_directory_is_made_and_an_impossible_one_is_reported() {
-    let directory = tempfile::tempdir().unwrap();
-    let file = directory.path().join("file");
-    std::fs::write(&file, "").unwrap();
-    for (place, possible) in [(directory.path().join("a/b"), true), (file.join("a"), false)] {
-        let mut black_box = BlackBox::new(&plan(100 * MS), &place).unwrap();
-        cycle(&mut black_box, 3, |_| {});
-        black_box.request();
-        let [written] = &black_box.write(true)[..] else { panic!() };
-        assert_eq!((written.why.as_str(), written.cycle), ("requested", 3));
-        assert_eq!(written.error.is_none(), possible, "{written:?}");
-    }
-}
-
-#[test]
-fn none_is_wanted() {
-    assert!(BlackBox::new(&plan(0), Path::new("/")).is_none());
-}

@@ -224,7 +224,6 @@ fn bytes(out: &mut Vec<u8>, number: u64, value: &[u8]) {
 
 #[cfg(test)]
 mod tests {
-    use prost_reflect::{DescriptorPool, DynamicMessage, Value};
 
     use super::*;
 
@@ -261,53 +260,6 @@ mod tests {
                 ("bytes".into(), Get::Bytes(|of| of.bytes)),
             ],
         )
-    }
-
-    /// The fields of `bytes`, as another reader of Protocol Buffers sees them.
-    fn read(table: &Table<All>, bytes: &[u8]) -> DynamicMessage {
-        let pool = DescriptorPool::decode(&*table.descriptor()).unwrap();
-        let message = pool.get_message_by_name(&table.full_name()).unwrap();
-        DynamicMessage::decode(message, bytes).unwrap()
-    }
-
-    #[test]
-    fn another_reader_finds_every_value_under_its_name() {
-        let table = table();
-        let mut out = vec![1, 2, 3];
-        for sign in [-1, 1] {
-            let all = All {
-                u64: u64::MAX,
-                u32: u32::MAX,
-                i64: sign * i64::MAX,
-                bool: true,
-                f64: -0.0,
-                f32: f32::MIN,
-                text: "µm",
-                named: 2,
-                items: [1.0, -2.5],
-                bytes: &[0, 0xFF],
-            };
-            table.encode(&all, &mut out);
-            let message = read(&table, &out);
-            let expected = [
-                ("u64", Value::U64(u64::MAX)),
-                ("u32", Value::U32(u32::MAX)),
-                ("i64", Value::I64(sign * i64::MAX)),
-                ("bool", Value::Bool(true)),
-                ("f64", Value::F64(-0.0)),
-                ("f32", Value::F32(f32::MIN)),
-                ("text", Value::String("µm".to_owned())),
-                ("named", Value::EnumNumber(2)),
-                ("item", Value::F64(-2.5)),
-                ("bytes", Value::Bytes(vec![0, 0xFF].into())),
-            ];
-            for (name, value) in expected {
-                assert_eq!(*message.get_field_by_name(name).unwrap(), value, "{name}");
-            }
-        }
-        let pool = DescriptorPool::decode(&*table.descriptor()).unwrap();
-        let colours = pool.get_enum_by_name("fieldbeat.All.Colour.Name").unwrap();
-        assert_eq!(colours.get_value(2).unwrap().name(), "blue_STO");
     }
 
     #[test]

@@ -1,10 +1,8 @@
 //! Files as they are written, and as others find them.
 
-mod damage;
 mod log;
 
 use std::fs::{File, OpenOptions};
-use std::io;
 use std::num::NonZeroU32;
 use std::path::Path;
 
@@ -18,22 +16,17 @@ use super::whole::Whole;
 use super::window::Window;
 use super::writer::Writer;
 use crate::failures::Failures;
-use fieldbeat_core::axis::cell::cell;
 use fieldbeat_core::axis::{
-    self, Command, CommandId, EventKind, Link, Move, Outcome, Profile, State, StopCause, Target, Units,
+    self, Command, CommandId, EventKind, Link, Move, Outcome, Profile, State, StopCause, Target,
 };
 use fieldbeat_core::bus::native::{NativeField, NativeLayout};
-use fieldbeat_core::cycle::CyclePlan;
 use fieldbeat_core::cycle::record::{
     CommandRecord, CommandStep, CycleRecord, DriveRecord, EventRecord, Lateness, MonitorRecord, NativeRecord,
     Record, ReferenceRecord, Reply, SkippedRecord,
 };
-use fieldbeat_core::cycle::status::Status;
 use fieldbeat_core::time::{MS, S, Time};
 use fieldbeat_telemetry::causes::{Cause, Judged};
-use fieldbeat_telemetry::sink::{Feed, Sink};
-use fieldbeat_telemetry::tap::Taps;
-use fieldbeat_telemetry::thread::{Failure, Measured, TelemetryThread};
+use fieldbeat_telemetry::sink::Sink;
 
 /// The clock of the loop is so much behind UTC.
 const UTC_NS: i64 = 1_000 * S as i64;
@@ -272,25 +265,6 @@ fn a_changed_byte_is_damage_and_the_files_of_others_are_foreign() {
 }
 
 #[test]
-fn a_record_that_says_to_be_longer_than_its_chunk_is_an_error() {
-    let mut bytes = written(&records(1_800));
-    let summary = mcap::Summary::read(&bytes).unwrap().unwrap();
-    let last = summary.chunk_indexes.iter().max_by_key(|index| index.chunk_start_offset).unwrap();
-    let chunk = last.chunk_start_offset as usize;
-    // Behind opcode, length, times and size: a checksum, which 0 means not to be there, the name of no compression, and
-    // the size of the records. The first of them has its length behind its opcode.
-    let (checksum, size, length) = (chunk + 33, chunk + 41, chunk + 50);
-    bytes[checksum..][..4].fill(0);
-    let size = u64::from_le_bytes(bytes[size..][..8].try_into().unwrap());
-    for beyond in [1, 100, 100_000] {
-        bytes[length..][..8].copy_from_slice(&(size + beyond).to_le_bytes());
-        let (read, wrong) = messages(bytes.clone());
-        assert!(matches!(wrong, Some(Wrong::Cut | Wrong::Damaged(_))), "{beyond}: {wrong:?}");
-        assert!((3_000..3_100).contains(&read.len()), "{beyond}: {}", read.len());
-    }
-}
-
-#[test]
 fn records_without_that_of_their_cycle_are_written_by_the_one_before() {
     let lost: Vec<Record> = (0..40_000).map(|index| drive(index / 2, (index % 2) as u16)).collect();
     let all: Vec<Record> = [cycle(0)].into_iter().chain(lost).collect();
@@ -348,35 +322,6 @@ fn topics_of_axes_with_unlucky_names_have_tables_of_their_own() {
     assert_eq!([lines("axes_y_monitors.csv"), lines("axes_y_monitors.2.csv")], [7, 2]);
 }
 
-/// A disk of so many bytes, and what it says to more.
-struct Small(usize, io::ErrorKind);
-
-impl io::Write for Small {
-    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        let room = bytes.len().min(self.0);
-        self.0 -= room;
-        if room == 0 { Err(self.1.into()) } else { Ok(room) }
-    }
-
-    fn flush(&mut self) -> io::Result<()> {
-        Ok(())
-    }
-}
-
-#[test]
-fn a_table_or_a_file_that_is_not_taken_says_why() {
-    for kind in [io::ErrorKind::BrokenPipe, io::ErrorKind::StorageFull] {
-        let mut wide = Wide::new(Small(0, kind));
-        // More than the table holds back.
-        let mut entries = Reading::of(written(&records(1_000)));
-        let refused = entries.find_map(|entry| wide.enter(&entry.unwrap()).err());
-        assert_eq!(refused.map(|why| why.kind()), Some(kind));
-        let mut writer = Writer::new(Small(300_000, kind), machine(), UTC_NS).unwrap();
-        let failed = records(5_000).iter().find_map(|record| writer.enter(record).err());
-        assert_eq!(failed.map(|why| why.kind()), Some(kind), "of the write that found it");
-    }
-}
-
 #[test]
 fn a_trace_has_the_stages_one_after_the_other_and_commands_as_spans() {
     let mut trace = Trace::new(Vec::new()).unwrap();
@@ -401,23 +346,6 @@ fn a_trace_has_the_stages_one_after_the_other_and_commands_as_spans() {
     assert_eq!(command["args"]["target"], "-4");
     let late = named("drive");
     assert_eq!((&late["ph"], &late["args"]["drive"]), (&"X".into(), &"y".into()));
-}
-
-/// As of a damaged black box: nothing in a record can be relied upon.
-#[test]
-fn no_number_of_a_record_is_too_large() {
-    let far = Record::Cycle(CycleRecord { index: u64::MAX, grid: Time(u64::MAX), ..CycleRecord::default() });
-    let near = Record::Cycle(CycleRecord::default());
-    let bytes = written(&[far, drive(0, 0), near, drive(u64::MAX, 1), far]);
-    let (mut trace, mut wide) = (Trace::new(Vec::new()).unwrap(), Wide::new(Vec::new()));
-    let mut count = 0;
-    for entry in Reading::of(bytes) {
-        let entry = entry.unwrap();
-        trace.enter(&entry).unwrap();
-        wide.enter(&entry).unwrap();
-        count += 1;
-    }
-    assert_eq!(count, 6);
 }
 
 #[test]
@@ -568,44 +496,4 @@ fn a_recording_says_how_many_records_were_dropped() {
     assert_eq!(whole.look(2), None, "once");
     let [recorded] = &whole.finish()[..] else { panic!() };
     assert_eq!((recorded.lost, &recorded.error, recorded.failure()), (2 + 3, &None, Some(reported)));
-}
-
-#[test]
-fn a_recording_that_was_too_slow_fails_the_run_in_one_line() {
-    let directory = tempfile::tempdir().unwrap();
-    let path = directory.path().join("x.mcap");
-    let mut whole = Whole::new(new_file(&path), path.clone(), machine(), None);
-    whole.begin(UTC_NS);
-    // A queue for one batch, from which nobody takes meanwhile.
-    let taps = Taps::default();
-    let tap = taps.add(1);
-    let records = records(6);
-    records.chunks(3).for_each(|batch| taps.hand(batch.to_vec()));
-    let (_, ring) = rtrb::RingBuffer::new(1);
-    let measured = Measured::new(&[Units::millimetres(1.0); 2], &CyclePlan::default(), false);
-    let telemetry = TelemetryThread::start(ring, measured, taps, None, None, || {}).unwrap();
-    let feed = Feed { path: path.clone(), sink: Box::new(whole), tap };
-    let (_, status) = cell(Status::default());
-    let measured = telemetry.feed(Some(feed), status, || {}).unwrap().finish(&Status::default(), None);
-    let [recorded] = &measured.recordings[..] else { panic!("{:?}", measured.recordings) };
-    assert_eq!((recorded.messages, recorded.lost), (3, records.len() as u64 - 3));
-    let what = format!(
-        "recording {} is not complete: records are missing, since its disk or this host was too slow; record \
-         to another disk, or with a longer period",
-        path.display()
-    );
-    assert_eq!(measured.failures, [Failure::of_run(what)]);
-}
-
-#[test]
-fn a_file_of_a_machine_that_does_not_start_is_removed() {
-    let directory = tempfile::tempdir().unwrap();
-    let path = directory.path().join("x.mcap");
-    let whole = || Whole::new(new_file(&path), path.clone(), machine(), None);
-    drop(whole());
-    assert!(!path.exists());
-    let mut begun = whole();
-    begun.begin(UTC_NS);
-    drop(begun);
-    assert!(path.exists());
 }

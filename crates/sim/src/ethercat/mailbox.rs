@@ -307,35 +307,6 @@ mod tests {
     }
 
     #[test]
-    fn a_short_value_leaves_old_memory_behind_it() {
-        let mut mailbox = Mailbox::new(Dialect::Standard, None);
-        let request =
-            Request { counter: 1, object: Object::new(0x1018, 1), complete: false, data: None, answer: None };
-        mailbox.answer(&request, Ok(vec![1, 2, 3, 4]));
-        mailbox.answer(&request, Ok(vec![9]));
-        let both = [mailbox.next(), mailbox.next()].map(Option::unwrap);
-        assert_eq!(both.each_ref().map(|message| message[8]), [0x43, 0x4F]);
-        assert_eq!(both[1][12..], [9, 2, 3, 4]);
-        let Some(Parsed::Sdo { response: Response::Value { data, .. }, .. }) = parse(&both[1]) else {
-            panic!()
-        };
-        assert_eq!(data, [9]);
-    }
-
-    #[test]
-    fn the_same_counter_again_is_a_repetition_unless_it_does_not_count() {
-        let mut mailbox = Mailbox::new(Dialect::Standard, None);
-        assert!(mailbox.take(&READ).is_some());
-        assert!(mailbox.take(&READ).is_none());
-        assert_eq!(mailbox.next(), None);
-        assert!(mailbox.take(&SELECT).is_some() && mailbox.take(&SELECT).is_some());
-        mailbox.reset();
-        assert!(mailbox.take(&READ).is_some());
-        let mut manual = Mailbox::new(Dialect::Manual, None);
-        assert!(manual.take(&READ).is_some() && manual.take(&READ).is_some());
-    }
-
-    #[test]
     fn what_the_drive_cannot_do_is_refused_by_its_code() {
         let aborted = |code| Some(Response::Abort { object: Object::new(0x1C12, 1), code });
         for (place, byte, abort, refused) in [

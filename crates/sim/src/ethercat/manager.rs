@@ -171,20 +171,6 @@ mod tests {
     }
 
     #[test]
-    fn what_a_state_has_no_use_for_is_locked_and_says_so() {
-        let mut mailbox = manager(SyncManager::MAILBOX_OUT, AlState::Init);
-        let mut outputs = manager(SyncManager::OUTPUTS, AlState::PreOp);
-        for manager in [&mailbox, &outputs] {
-            assert_eq!((manager.registers(), manager.may_write()), ((0, 1), false));
-        }
-        mailbox.enter(AlState::PreOp);
-        outputs.enter(AlState::SafeOp);
-        for manager in [&mailbox, &outputs] {
-            assert_eq!((manager.registers(), manager.may_write()), ((0, 0), true));
-        }
-    }
-
-    #[test]
     fn outputs_count_once_they_are_whole_and_until_they_are_locked() {
         let mut memory = vec![0; 0x1_0000];
         memory[0x1BFF] = 7;

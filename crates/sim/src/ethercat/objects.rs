@@ -183,28 +183,6 @@ mod tests {
         Objects::new(&DriveSettings::new(family))
     }
 
-    fn object(text: &str) -> Object {
-        Object::parse(text).unwrap_or_else(|| catalogue::named(text).unwrap().object)
-    }
-
-    #[test]
-    fn values_have_the_length_of_their_type_and_what_is_missing_says_so() {
-        let [s700, akd] = [Family::S700, Family::Akd].map(objects);
-        for (drive, text, expected) in [
-            (&s700, "0x1018:1", Ok(vec![0x6A, 0, 0, 0])),
-            (&s700, "0x1C12:1", Ok(vec![0x02, 0x17])),
-            (&s700, "0x60C2:2", Ok(vec![0xFD])),
-            (&s700, "device-name", Ok(b"S700".to_vec())),
-            (&s700, "0x5FFF:1", Err(AbortCode::NO_OBJECT)),
-            (&s700, "0x6041:1", Err(AbortCode::NO_SUB)),
-            (&s700, "0x60F4:0", Err(AbortCode::NO_OBJECT)),
-            (&akd, "0x60F4:0", Ok(vec![0; 4])),
-            (&akd, "0x606B:0", Err(AbortCode::NO_OBJECT)),
-        ] {
-            assert_eq!(drive.read(object(text)), expected, "{text}");
-        }
-    }
-
     #[test]
     fn a_fixed_pdo_says_what_it_is_made_of_and_stays_so() {
         let s700 = objects(Family::S700);
@@ -215,34 +193,5 @@ mod tests {
         assert_eq!(s700.read(Object::new(0x1705, 0)), Err(AbortCode::NO_OBJECT));
         let write = s700.written(Object::new(0x1702, 0), &[0], AlState::PreOp);
         assert_eq!(write, Err(AbortCode::READ_ONLY));
-    }
-
-    #[test]
-    fn length_access_and_range_are_kept() {
-        for (text, data, state, expected) in [
-            ("control-word", &[1, 2, 3, 4][..], AlState::Op, Err(AbortCode::LENGTH)),
-            ("control-word", &[0x0F], AlState::Op, Err(AbortCode::LENGTH)),
-            ("control-word", &[0x0F, 0], AlState::Op, Ok(0x0F)),
-            ("status-word", &[0, 0], AlState::Op, Err(AbortCode::READ_ONLY)),
-            ("0x1C12:0", &[0], AlState::SafeOp, Err(AbortCode::STATE)),
-            ("0x1C12:0", &[0], AlState::PreOp, Ok(0)),
-            ("0x1C12:0", &[2], AlState::PreOp, Err(abort::HIGH)),
-            ("0x60C2:1", &[0], AlState::PreOp, Err(abort::LOW)),
-            ("0x60C2:2", &[0xF9], AlState::PreOp, Err(abort::LOW)),
-            ("0x60C2:2", &[0xFC], AlState::PreOp, Ok(-4)),
-        ] {
-            assert_eq!(objects(Family::S700).written(object(text), data, state), expected, "{text} {data:?}");
-        }
-    }
-
-    #[test]
-    fn every_pdo_is_made_of_objects_that_the_drive_has() {
-        for family in [Family::S700, Family::Akd] {
-            let settings = DriveSettings::new(family);
-            let objects = Objects::new(&settings);
-            for entry in settings.layouts.iter().flat_map(|layout| &layout.entries) {
-                assert!(objects.find(entry.object).is_some(), "{family:?} {}", entry.object);
-            }
-        }
     }
 }

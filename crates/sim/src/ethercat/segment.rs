@@ -138,7 +138,7 @@ mod tests {
     use super::super::testing::{Bench, bytes};
     use fieldbeat_core::time::{MS, US};
     use fieldbeat_ethercat::wire::frame::Command;
-    use fieldbeat_ethercat::wire::registers::{AlState, Difference, Features, Links, address};
+    use fieldbeat_ethercat::wire::registers::{AlState, Difference, Features, address};
 
     fn pass(bench: &mut Bench, sent: &str) -> Vec<u8> {
         let mut frame = bytes(sent);
@@ -174,37 +174,6 @@ mod tests {
     }
 
     #[test]
-    fn a_line_that_others_used_is_cleared_as_a_real_master_does() {
-        let mut bench = Bench::drives(|_| {});
-        bench.all_to(&[AlState::SafeOp, AlState::Op]);
-        for (at, data) in [
-            (0x0101, &[0][..]),
-            (0x0120, &[0x11, 0]),
-            (0x0200, &[4, 0]),
-            (0x0300, &[0; 8]),
-            (0x0600, &[0; 256]),
-            (0x0800, &[0; 256]),
-            (0x0981, &[0]),
-            (0x0910, &[0; 8]),
-            (0x0930, &[0x00, 0x10]),
-            (0x0934, &[0x00, 0x0C]),
-            (0x0500, &[2]),
-            (0x0500, &[0]),
-        ] {
-            assert_eq!(bench.send(Command::Bwr(at), data).1, 2, "{at:#06x}");
-        }
-        let mut shown = |at, length| bench.send(Command::Brd(at), &vec![0; length]);
-        assert_eq!(shown(address::TYPE, 2), (vec![4, 2], 2));
-        assert_eq!(shown(address::AL_STATUS, 6), (vec![1, 0, 0, 0, 0, 0], 2));
-        let managers = shown(address::SYNC_MANAGER, 64).0;
-        assert!(managers.chunks(8).all(|manager| manager[6] == 0), "they were on: that alone has changed");
-        assert_eq!(shown(address::FMMU, 64), (vec![0; 64], 2));
-        assert_eq!(bench.send(Command::Lrw(0x1_0000), &[7; 28]).1, 0);
-        assert_eq!(bench.send(Command::Bwr(address::SYNC_MANAGER), &[0; 64]).1, 2);
-        assert_eq!(bench.send(Command::Brd(address::SYNC_MANAGER), &[0; 64]), (vec![0; 64], 2));
-    }
-
-    #[test]
     fn a_sound_frame_is_answered_as_in_a_capture_and_another_stays_as_far_as_it_is_not() {
         let mut bench = Bench::new(vec![Settings::default()]);
         for (sent, back) in [
@@ -229,46 +198,6 @@ mod tests {
         ] {
             assert_eq!(pass(&mut bench, other), bytes(other));
         }
-    }
-
-    /// Four slaves; from one to the next it takes 100, 200, 300 and 400 ns.
-    fn four() -> Bench {
-        let settings = |n: u64| Settings {
-            features: Features(0x018C),
-            clock_ns: 1_000_000 * n,
-            delay_ns: 100 * n,
-            ..Settings::default()
-        };
-        Bench::new((1..=4).map(settings).collect())
-    }
-
-    fn links(bench: &mut Bench, n: u16) -> [bool; 2] {
-        let links = Links(u16::from_le_bytes(bench.read(n, address::LINKS).unwrap()));
-        assert!(!links.link(2) && !links.open(3));
-        [0, 1].map(|port| {
-            assert_eq!(links.link(port), links.open(port));
-            links.link(port)
-        })
-    }
-
-    #[test]
-    fn frames_turn_in_front_of_a_cut_cable_and_the_slave_there_says_so() {
-        let mut bench = four();
-        let count = |bench: &mut Bench| bench.send_whole(Command::Brd(address::TYPE), &[0; 2]);
-        assert_eq!(count(&mut bench), (vec![4, 2], 4, 4));
-        assert_eq!(
-            [0, 1, 2, 3].map(|n| links(&mut bench, n)),
-            [[true; 2], [true; 2], [true; 2], [true, false]]
-        );
-        bench.segment.cut(Some(2));
-        assert_eq!(count(&mut bench), (vec![4, 2], 2, 2));
-        assert_eq!([0, 1].map(|n| links(&mut bench, n)), [[true; 2], [true, false]]);
-        assert_eq!(bench.write(2, 0x0F80, &[0]), 0);
-        bench.segment.cut(Some(0));
-        assert_eq!(count(&mut bench), (vec![0, 0], 0, 0));
-        bench.segment.cut(None);
-        assert_eq!(count(&mut bench).1, 4);
-        assert_eq!(links(&mut bench, 1), [true; 2]);
     }
 
     #[test]

@@ -386,19 +386,6 @@ mod tests {
     }
 
     #[test]
-    fn a_read_takes_its_time_and_brings_four_bytes_or_eight() {
-        let access = Access { busy_ns: 100, eight: false, emulated: true, ..Access::default() };
-        let mut eeprom = Eeprom::new(contents().image(), access);
-        assert_eq!(eeprom.status(), 0x0020);
-        eeprom.command(T, Status::READ, word::VENDOR.into(), 0);
-        assert_eq!((eeprom.status(), eeprom.is_busy()), (0x8120, true));
-        eeprom.advance(T + 99);
-        assert!(Status(eeprom.status()).busy());
-        eeprom.advance(T + 100);
-        assert_eq!((eeprom.status(), eeprom.data()), (0x0020, [0x6A, 0, 0, 0, 0, 0, 0, 0]));
-    }
-
-    #[test]
     fn a_write_needs_its_enable_bit_and_a_reload_makes_it_count() {
         let mut eeprom = Eeprom::new(contents().image(), Access::default());
         eeprom.command(T, 0x0200, ALIAS as u32, 9);

@@ -125,48 +125,6 @@ impl Topology {
 mod tests {
     use super::*;
 
-    /// A coupler (100 ns), two terminals behind its port 1 (10 ns each), and a drive behind its port 2 (50 ns).
-    fn star() -> Topology {
-        let mut star = Topology::line(vec![100, 10, 10, 50]);
-        assert!(star.put(3, Behind { place: 0, port: 2 }));
-        star
-    }
-
-    fn visits(topology: &Topology) -> Vec<Visit> {
-        topology.visits().into_iter().flatten().collect()
-    }
-
-    #[test]
-    fn a_frame_comes_back_at_each_port_before_it_leaves_by_the_next() {
-        let visits = visits(&star());
-        assert_eq!(visits.iter().map(|visit| visit.at).collect::<Vec<_>>(), [100, 110, 120, 190]);
-        assert_eq!(visits[0].back, [None, Some(140), Some(240), None]);
-        assert_eq!(visits[1].back, [None, Some(130), None, None]);
-        assert_eq!([visits[2].back, visits[3].back], [[None; 4]; 2]);
-        assert_eq!(star().delay_ns(), 340);
-        let mut junction = Topology::line(vec![0, 5, 5, 5]);
-        assert!(
-            junction.put(1, Behind { place: 0, port: 3 }) && junction.put(2, Behind { place: 0, port: 1 })
-        );
-        assert!(junction.put(3, Behind { place: 0, port: 2 }));
-        assert_eq!(self::visits(&junction)[0].back, [None, Some(20), Some(30), Some(10)]);
-    }
-
-    #[test]
-    fn a_cut_branch_leaves_the_others() {
-        let mut star = star();
-        star.cut(Some(1));
-        assert_eq!([0, 1, 2, 3].map(|n| star.reaches(n)), [true, false, false, true]);
-        assert_eq!(star.links(0), [true, false, true, false]);
-        assert_eq!(
-            star.visits().iter().map(|visit| visit.map(|visit| visit.at)).collect::<Vec<_>>(),
-            [Some(100), None, None, Some(150)]
-        );
-        assert_eq!(star.delay_ns(), 300);
-        star.cut(None);
-        assert_eq!([0, 1, 2].map(|n| star.links(n)[1]), [true, true, false]);
-    }
-
     #[test]
     fn a_position_that_the_order_of_ports_does_not_give_is_refused() {
         let mut line = Topology::line(vec![0; 4]);

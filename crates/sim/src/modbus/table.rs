@@ -311,22 +311,6 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_special_parameter_is_in_the_catalogue_and_in_its_place_once() {
-        for (place, special) in SPECIAL.iter().enumerate() {
-            let name = format!("{}.{:03}", special.menu, special.number);
-            let (menu, slot) = match special.menu.checked_sub(INTERFACE) {
-                Some(menu) => (menu, 4),
-                None => (special.menu, 0),
-            };
-            let known = Parameter::new(menu, special.number).in_slot(slot).known().expect(&name);
-            assert_eq!(TABLE.find(special.menu, special.number), Some(place), "{name}");
-            assert!((known.min..=known.max).contains(&special.default.into()), "{name}");
-            // Computed values are not writable.
-            assert!(special.variable.is_none() || known.access == parameter::Access::ReadOnly, "{name}");
-        }
-    }
-
-    #[test]
     fn everything_in_the_catalogue_is_there_and_every_menu_has_a_parameter_000() {
         for known in catalogue::all() {
             assert!(TABLE.of(known.parameter, 4).is_some(), "{}", known.parameter);

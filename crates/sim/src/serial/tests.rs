@@ -72,37 +72,6 @@ fn bytes_take_their_time_and_everybody_receives_everything() {
 }
 
 #[test]
-fn of_what_has_ended_no_telegram_is_in_two_pieces() {
-    let mut medium = Medium::new(wire(&[7]));
-    medium.write(START, &Slave::request(7, 5));
-    let begin = START + (3 * BYTE + TURN);
-    let mut room = [0; 64];
-    for (bytes, read) in [(1, 0), (2, 0), (3, 3), (4, 0)] {
-        run(&mut medium, begin + bytes * BYTE);
-        assert_eq!(medium.read_ended(&mut room), read, "{bytes}");
-    }
-    assert_eq!(room[..3], [135, 5, 1]);
-}
-
-#[test]
-fn what_follows_at_once_follows_without_a_gap_and_only_a_driver_full_is_taken() {
-    let mut medium = Medium::new(wire(&[7]));
-    medium.write(START, &[1, 2]);
-    medium.write(START, &[3]);
-    assert_eq!(medium.next_due(), Some(START + 2 * BYTE));
-    run(&mut medium, START + (3 * BYTE - 1));
-    assert_eq!(slave(&mut medium, 0).received, [1, 2]);
-    run(&mut medium, START + 3 * BYTE);
-    assert_eq!(slave(&mut medium, 0).received, [1, 2, 3]);
-    let now = START + 10 * BYTE;
-    assert_eq!(medium.write(now, &[0; 2 * DRIVER]), DRIVER);
-    // One of them is on the wire.
-    assert_eq!((medium.write(now, &[0; 9]), medium.write(now, &[])), (1, 0));
-    medium.discard(now);
-    assert_eq!(medium.unsent(now), 0);
-}
-
-#[test]
 fn what_overlaps_is_lost_at_both_and_nothing_else_is() {
     // Two slaves of one number.
     let mut medium = Medium::new(wire(&[7, 7, 8]));
@@ -122,23 +91,6 @@ fn what_overlaps_is_lost_at_both_and_nothing_else_is() {
     let received = &slave(&mut medium, 2).received;
     assert_eq!(received[received.len() - 3..], [0, 7, !7]);
     assert_eq!(read(&mut medium, begin + 99 * BYTE), [0; 0]);
-}
-
-#[test]
-fn a_two_wire_adapter_echoes_and_other_settings_garble() {
-    let mut medium = Medium::new(SerialWire { echo: true, ..wire(&[7]) });
-    medium.write(START, &Slave::request(7, 5));
-    let end = START + (6 * BYTE + TURN);
-    assert_eq!(read(&mut medium, end), [7, 5, !5, 135, 5, 1]);
-    let mut medium = Medium::new(wire(&[7]));
-    medium.set_master(&SerialLine { rate: 9_600, ..Slave::LINE });
-    medium.write(START, &Slave::request(7, 5));
-    run(&mut medium, end);
-    assert_eq!(slave(&mut medium, 0).received, [0; 3]);
-    medium.set_master(&Slave::LINE);
-    medium.write(end, &Slave::request(7, 5));
-    medium.set_master(&SerialLine { parity: fieldbeat_core::net::Parity::None, ..Slave::LINE });
-    assert_eq!(read(&mut medium, end + 10 * BYTE), [0; 3]);
 }
 
 #[test]

@@ -117,9 +117,8 @@ mod tests {
     use crate::server::{ServerOptions, SimServer};
     use crate::testing::Tally;
     use crate::{FaultPlan, Simulated};
-    use fieldbeat_core::net::frames::Unsent;
+
     use fieldbeat_core::net::{Carriers, Os};
-    use fieldbeat_core::time::MS;
 
     /// A segment that no other test has.
     fn name(what: &str) -> String {
@@ -164,52 +163,6 @@ mod tests {
         assert_eq!((stats.lost, stats.unsent, stats.injected), (0, 0, Injected::default()));
         assert!(server.stats().is_empty());
         assert!(master.send(&[1]).is_err(), "it is closed");
-    }
-
-    #[test]
-    fn faults_on_a_line_are_injected_counted_and_accounted_for() {
-        let name = name("faults");
-        let faults = FaultPlan {
-            seed: 4,
-            drop: 0.1,
-            duplicate: 0.1,
-            delay: 0.1,
-            delay_ns: MS,
-            ..FaultPlan::default()
-        };
-        let mut server = start(&name, faults).unwrap();
-        let mut master = Os::default().frames(&name, Tally::TYPE).unwrap();
-        let mut come = 0;
-        for number in 0..200 {
-            // The segment takes few frames at a time, and none while the server's thread is held up.
-            let begin = Instant::now();
-            while let Err(error) = master.send(&[number, 0]) {
-                assert!(error == Unsent::Full && begin.elapsed() < LONG, "{error:?}");
-                come += u64::from(receive(&mut *master, SHORT).is_some());
-            }
-            while receive(&mut *master, Duration::from_micros(200)).is_some() {
-                come += 1;
-            }
-        }
-        // Until all of them are answered, however long the server's thread is held up.
-        let begin = Instant::now();
-        let owed = loop {
-            let stats = server.buses()[0].clone();
-            // The master's end takes few frames, and none while this thread is held up.
-            let owed = 200 + stats.injected.duplicated - stats.injected.dropped - stats.unsent;
-            if (stats.received, stats.answered, come) == (200, owed, owed) {
-                break owed;
-            }
-            assert!(begin.elapsed() < LONG, "{stats:?}: {come}");
-            come += u64::from(receive(&mut *master, SHORT).is_some());
-        };
-        assert_eq!(receive(&mut *master, SHORT), None);
-        server.end();
-        let stats = &server.buses()[0];
-        let i = stats.injected;
-        assert!(i.dropped > 10 && i.duplicated > 10 && i.delayed > 10, "{stats:?}");
-        assert_eq!((stats.received, stats.answered), (200, come));
-        assert_eq!(come, owed, "{stats:?}");
     }
 
     #[test]

@@ -281,25 +281,6 @@ mod tests {
     }
 
     #[test]
-    fn an_interface_without_a_segment_is_refused_with_those_that_there_are() {
-        let (world, carrier) = world(FaultPlan::default());
-        let refused = |name, kind| world.frames(name, kind).map(|_| ()).unwrap_err();
-        assert_eq!(
-            refused("eth8", TYPE).to_string(),
-            "no segment on eth8 in this world; there are: eth6, eth7"
-        );
-        assert_eq!(refused(NAME, 0x0800).kind(), io::ErrorKind::NotFound);
-        assert_eq!(refused(NAME, TYPE).kind(), io::ErrorKind::AddrInUse);
-        drop(carrier);
-        assert!(world.frames(NAME, TYPE).is_ok());
-        assert!(!world.cut("eth8", None) && !world.deafen("eth8", 0, true));
-        assert_eq!(world.segment_injected("eth8"), None);
-        let mut twice = segments(FaultPlan::default());
-        twice.segments.extend(segments(FaultPlan::default()).segments);
-        assert!(World::new(twice, WorldOptions::default()).is_err());
-    }
-
-    #[test]
     fn the_cable_the_ears_and_the_switches_of_each_slave_can_be_pulled() {
         let (world, mut carrier) = world(FaultPlan::default());
         let mut exchange = |number| exchange(&world, &mut *carrier, number);

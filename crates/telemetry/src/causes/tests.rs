@@ -96,18 +96,6 @@ fn took(one: &Loop, stage: Stage, us: u64) -> CycleRecord {
 }
 
 #[test]
-fn a_run_delay_is_a_preemption() {
-    for late in [woke, |one: &Loop, us| took(one, Stage::Evaluate, us)] {
-        let mut one = Loop::new();
-        one.switches = 1;
-        one.enter(late(&one, 300), 0);
-        (0..4).for_each(|_| one.enter(one.cycle(), 0));
-        one.tick(0, 290 * US, 0, 0);
-        assert_eq!(one.found(), [(Cause::Preempted, 1)]);
-    }
-}
-
-#[test]
 fn a_run_delay_of_others_or_the_usual_one_is_none() {
     let mut one = Loop::new();
     // Awake all the while, and never taken from its core: the delay was another one's.
@@ -160,70 +148,6 @@ fn a_run_delay_explains_one_late_cycle_only() {
     one.tick(0, 310 * US, 0, 0);
     one.quiet(1);
     assert_eq!(one.found(), [(Cause::Preempted, 1), (Cause::Timer, 1)]);
-}
-
-#[test]
-fn a_fault_is_one_whatever_else_happened() {
-    let mut one = Loop::new();
-    one.enter(took(&one, Stage::Commands, 800), 200);
-    (0..4).for_each(|_| one.enter(one.cycle(), 0));
-    one.tick(750 * US, 0, 200, 0);
-    // The same count seen again is no new fault.
-    one.enter(took(&one, Stage::Commands, 800), 0);
-    (0..4).for_each(|_| one.enter(one.cycle(), 0));
-    one.tick(750 * US, 0, 0, 0);
-    assert_eq!(one.found(), [(Cause::PageFault, 1), (Cause::Work(Stage::Commands), 1)]);
-}
-
-#[test]
-fn two_late_cycles_in_one_span_have_their_own_faults() {
-    let mut one = Loop::new();
-    one.enter(took(&one, Stage::Commands, 800), 7);
-    one.enter(took(&one, Stage::Commands, 800), 7);
-    (0..3).for_each(|_| one.enter(one.cycle(), 0));
-    one.tick(1_500 * US, 0, 7, 0);
-    assert_eq!(one.found(), [(Cause::PageFault, 1), (Cause::Work(Stage::Commands), 1)]);
-}
-
-#[test]
-fn counts_that_are_read_seldom_show_each_fault_once() {
-    let mut one = Loop::new();
-    one.times_only = true;
-    // The loop itself has seen them since, and the counts of the samples are older than that.
-    for faults in [7, 7, 8] {
-        one.enter(took(&one, Stage::Commands, 800), faults);
-        (0..4).for_each(|_| one.enter(one.cycle(), 0));
-        one.tick(750 * US, 0, 0, 0);
-    }
-    assert_eq!(one.found(), [(Cause::PageFault, 2), (Cause::Work(Stage::Commands), 1)]);
-}
-
-#[test]
-fn a_gap_in_straight_code_is_the_host() {
-    let mut one = Loop::new();
-    one.enter(took(&one, Stage::Prepare, 900), 0);
-    (0..4).for_each(|_| one.enter(one.cycle(), 0));
-    one.tick(20 * US, 0, 0, 0);
-    one.enter(CycleRecord { spun: true, ..woke(&one, 900) }, 0);
-    (0..4).for_each(|_| one.enter(one.cycle(), 0));
-    one.tick(0, 0, 0, 0);
-    assert_eq!(one.found(), [(Cause::Host, 2)]);
-}
-
-#[test]
-fn a_stage_that_is_always_long_is_work_and_one_that_never_is_is_not() {
-    let mut one = Loop::new();
-    for _ in 0..200 {
-        (0..5).for_each(|_| one.enter(took(&one, Stage::Publish, 90), 0));
-        one.tick(5 * 90 * US, 0, 0, 0);
-    }
-    one.enter(took(&one, Stage::Publish, 150), 0);
-    // It ran all the while, as far as the kernel knows: its hypervisor reports no steal.
-    one.enter(took(&one, Stage::Evaluate, 150), 0);
-    (0..3).for_each(|_| one.enter(one.cycle(), 0));
-    one.tick(5 * 90 * US + 300 * US, 0, 0, 0);
-    one.quiet(1);
-    assert_eq!(one.found(), [(Cause::Work(Stage::Publish), 1), (Cause::Host, 1)]);
 }
 
 #[test]

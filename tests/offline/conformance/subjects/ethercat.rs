@@ -1,7 +1,6 @@
 //! EtherCAT to Kollmorgen drives of the S700: one frame for all of them. A velocity setpoint (1702h), or a position
 //! setpoint (1701h).
 
-mod broken;
 pub mod rows;
 pub mod slaves;
 
@@ -23,18 +22,15 @@ use fieldbeat_ethercat::wire::frame::{Command, FrameError, datagrams};
 use fieldbeat_ethercat::wire::registers::{AlState, AlStatus};
 use fieldbeat_ethercat::wire::sdo::AbortCode;
 
-use broken::Broken;
-pub use broken::Defect;
 use slaves::{Fitted, Slaves};
 
 use crate::conformance::line::PERIOD;
 use crate::conformance::subject::{Calls, Can, Drive, Said, Subject};
 
-/// By what the drives are led, and which slaves the segment is made of; sound, or with one thing wrong.
+/// By what the drives are led, and which slaves the segment is made of.
 pub struct EtherCat {
     pub positions: bool,
     pub slaves: Slaves,
-    pub defect: Option<Defect>,
 }
 
 const LINE: &str = "local:conformance";
@@ -85,12 +81,6 @@ fn places(frame: &[u8]) -> Vec<Range<usize>> {
         Some(begin..begin + length)
     };
     lengths.scan(FRONT, place).collect()
-}
-
-/// Where those of the process data stand.
-fn image(frame: &[u8]) -> Option<Range<usize>> {
-    let is_image = |at: &Range<usize>| frame[at.start - HEADER] == Command::Lrw(0).number();
-    places(frame).into_iter().find(is_image)
 }
 
 impl EtherCat {
@@ -186,11 +176,7 @@ impl Subject for EtherCat {
     }
 
     fn plan(&self, drives: &[Drive]) -> Box<dyn BusPlan> {
-        let plan = self.segment(drives).plan;
-        match self.defect {
-            None => Box::new(plan),
-            Some(defect) => Box::new(Broken { plan, defect }),
-        }
+        Box::new(self.segment(drives).plan)
     }
 
     fn simulated(&self, drives: &[Drive]) -> Simulated {

@@ -5,4 +5,3 @@ pub mod ethernet_ip;
 pub mod linudp;
 pub mod modbus;
 pub mod profibus;
-pub mod toy;

@@ -1,9 +1,7 @@
 //! Modbus TCP to Unidrives: each exchange writes and reads everything through menu 0 and is answered in its window, or
 //! it does a part of it where the parameters are, and is answered some cycles later.
 
-use std::io;
 use std::net::{Ipv4Addr, SocketAddrV4};
-use std::os::fd::RawFd;
 
 use fieldbeat::axis::{AxisPlan, Profile, Unit, Units};
 use fieldbeat::bus::BusPlan;
@@ -13,36 +11,15 @@ use fieldbeat::bus::modbus::{
 use fieldbeat::sim::modbus::{Start, UnidriveSettings, Unidrives};
 use fieldbeat::sim::{SimPlan, Simulated};
 use fieldbeat::time::US;
-use fieldbeat::{OpenError, Time};
-use fieldbeat_core::bus::Bus;
-use fieldbeat_core::net;
-use fieldbeat_core::net::{Carriers, Datagrams, LinkNotes, StreamPeer, Streams, UdpOptions};
-use fieldbeat_core::rt::Regions;
 use fieldbeat_modbus::notation::Target;
 use fieldbeat_modbus::wire;
 use fieldbeat_modbus::wire::{ExceptionCode, Header, Registers, Request, Response};
 
 use crate::conformance::subject::{Calls, Can, Drive, NoMessage, SOON, Said, Subject};
 
-/// One of the two ways to the cyclic parameters, sound or with one thing wrong.
+/// One of the two ways to the cyclic parameters.
 pub struct Modbus {
     pub direct: bool,
-    pub defect: Option<Defect>,
-}
-
-/// What only a bus of connections can get wrong.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Defect {
-    /// A connection that does not answer is kept for ever.
-    NeverGivesUp,
-    /// A second request goes out before the first one is answered.
-    AsksTwice,
-    /// What the wire does not take is sent again from its begin.
-    BeginsAgain,
-    /// A connection that is given up takes the other one with it.
-    GivesUpAll,
-    /// The count of bytes in a message is taken for true.
-    TrustsCounts,
 }
 
 /// What menu 0 shows from its first place on, as set up by default.
@@ -143,11 +120,7 @@ impl Subject for Modbus {
             plan.watchdog = Watchdog { timeout_ns: None, keypad: false, accept_none: true };
             plan
         };
-        let plan = ModbusPlan::new(drives.iter().enumerate().map(drive).collect());
-        match self.defect {
-            None => Box::new(plan),
-            Some(defect) => Box::new(Broken { plan, defect }),
-        }
+        Box::new(ModbusPlan::new(drives.iter().enumerate().map(drive).collect()))
     }
 
     fn simulated(&self, drives: &[Drive]) -> Simulated {
@@ -236,101 +209,5 @@ impl Subject for Modbus {
     fn foreign(&self, reply: &[u8]) -> Vec<Vec<u8>> {
         // A transaction that was not begun.
         vec![[&[reply[0] ^ 0x40], &reply[1..]].concat()]
-    }
-}
-
-/// A bus with a defect: it works on connections that are not used as it says.
-#[derive(Debug)]
-struct Broken {
-    plan: ModbusPlan,
-    defect: Defect,
-}
-
-impl BusPlan for Broken {
-    crate::forward_bus_plan!(plan);
-
-    fn open(&self, period_ns: u64, carriers: &dyn Carriers) -> Result<Box<dyn Bus>, OpenError> {
-        self.plan.open(period_ns, &Misusing { carriers, defect: self.defect })
-    }
-}
-
-struct Misusing<'a> {
-    carriers: &'a dyn Carriers,
-    defect: Defect,
-}
-
-impl Carriers for Misusing<'_> {
-    fn datagrams(&self, bind: SocketAddrV4, options: &UdpOptions) -> io::Result<Box<dyn Datagrams>> {
-        self.carriers.datagrams(bind, options)
-    }
-
-    fn streams(&self, peers: Vec<StreamPeer>) -> io::Result<Box<dyn Streams>> {
-        let part = vec![Vec::new(); peers.len()];
-        Ok(Box::new(Misused { streams: self.carriers.streams(peers)?, defect: self.defect, begun: part }))
-    }
-}
-
-struct Misused {
-    streams: Box<dyn Streams>,
-    defect: Defect,
-    /// The last request of each connection.
-    begun: Vec<Vec<u8>>,
-}
-
-impl Streams for Misused {
-    fn fd(&self) -> Option<RawFd> {
-        self.streams.fd()
-    }
-
-    fn opened(&mut self) -> Option<usize> {
-        self.streams.opened()
-    }
-
-    fn look(&mut self) {
-        self.streams.look();
-    }
-
-    fn ready(&mut self) -> Option<usize> {
-        self.streams.ready()
-    }
-
-    fn receive(&mut self, index: usize, room: &mut [u8]) -> Result<Option<(Time, usize)>, net::Broken> {
-        let taken = self.streams.receive(index, room)?;
-        if let Some((_, count @ 9..)) = taken
-            && self.defect == Defect::TrustsCounts
-            && matches!(room[7], 3 | 23)
-        {
-            let room = &room[..count];
-            let _ = &room[9..9 + usize::from(room[8])];
-        }
-        Ok(taken)
-    }
-
-    fn send(&mut self, index: usize, bytes: &[u8]) -> Result<(Time, usize), net::Broken> {
-        let begun = &mut self.begun[index];
-        if self.defect == Defect::BeginsAgain && begun.ends_with(bytes) && begun.len() > bytes.len() {
-            self.streams.send(index, begun)?;
-        }
-        *begun = bytes.to_vec();
-        if self.defect == Defect::AsksTwice {
-            self.streams.send(index, bytes)?;
-        }
-        self.streams.send(index, bytes)
-    }
-
-    fn abandon(&mut self, index: usize, why: &'static str) {
-        match self.defect {
-            Defect::NeverGivesUp => {}
-            Defect::GivesUpAll => (0..self.begun.len()).for_each(|index| self.streams.abandon(index, why)),
-            _ => self.streams.abandon(index, why),
-        }
-    }
-
-    fn notes(&self) -> LinkNotes {
-        self.streams.notes()
-    }
-
-    fn memory(&self, regions: &mut Regions) {
-        self.streams.memory(regions);
     }
 }

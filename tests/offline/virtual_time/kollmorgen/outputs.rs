@@ -1,12 +1,8 @@
 //! Who writes what is in the outputs of a drive: targets that its mode does not follow, its mode, its limits.
 
-use fieldbeat::axis::{Command, Move, NativeOwner, Profile, State, Target};
-use fieldbeat::bus::ethercat::{Native, Object};
+use fieldbeat::axis::{Command, Move, Profile, State, Target};
 
 use super::{Machine, machine_of};
-
-const ACTUAL: Object = Object::new(0x6064, 0);
-const TARGET: Object = Object::new(0x607A, 0);
 
 /// A drive with these outputs and keys that stands at 3 turns.
 fn machine(outputs: &str, keys: &str) -> Machine {
@@ -22,10 +18,6 @@ fn machine(outputs: &str, keys: &str) -> Machine {
 
 fn turns(machine: &Machine) -> f64 {
     machine.drive(0, |drive| drive.position()) as f64 / f64::from(1 << 20)
-}
-
-fn value(machine: &Machine, object: Object) -> i64 {
-    machine.drive(0, |drive| drive.value(object))
 }
 
 fn go_to(position: f64) -> Command {
@@ -52,47 +44,6 @@ fn a_drive_stays_where_it_is_when_it_is_enabled_and_moves_by_the_target_of_its_m
         machine.done(0, go_to(3.5));
         machine.run(200);
         assert!((turns(&machine) - 3.5).abs() < 1e-3, "{outputs} {mode}: {}", turns(&machine));
-        machine.end_well();
-    }
-}
-
-/// The targets are the application's: nothing moves until it writes one, and then the drive follows that.
-#[test]
-fn a_drive_follows_what_the_application_writes_and_stays_where_it_is_before_and_after() {
-    const CONTROL: Object = Object::new(0x6040, 0);
-    const HALF: i64 = 1 << 19;
-    for (mode, owner) in [(8, NativeOwner::Master), (1, NativeOwner::Application)] {
-        let mut machine =
-            machine("\"0x6040:0\", \"0x607A:0\"", &format!("mode = {mode}\nsetpoints = \"native\""));
-        let mut native: Box<Native> = machine.sim.axis(0).native().unwrap();
-        machine.done(0, Command::Enable);
-        let refused = machine.sim.axis(0).post(go_to(3.5)).map_err(|why| why.to_string());
-        assert!(refused.as_ref().is_err_and(|why| why.contains("no position")), "{refused:?}");
-        machine.run(200);
-        machine.post(0, Command::Native(owner));
-        machine.until("native", 100, |_| native.inputs().running);
-        machine.run(200);
-        assert!((turns(&machine) - 3.0).abs() < 1e-3, "{mode}: {}", turns(&machine));
-        assert!((value(&machine, TARGET) - value(&machine, ACTUAL)).abs() < 50, "{mode}");
-        let begin = value(&machine, ACTUAL);
-        let mut write = |machine: &mut Machine, control: i64, target: i64| {
-            let output = native.output(&[(CONTROL, control), (TARGET, target)]).unwrap();
-            native.write(output).unwrap();
-            machine.run(1);
-        };
-        if mode == 8 {
-            // A turn a second; the control word is the master's.
-            (1..=500).for_each(|step| write(&mut machine, 0, begin + HALF * step / 500));
-        } else {
-            // The handshake of profile position: a new target, and an edge of bit 4.
-            [0x0F, 0x1F].into_iter().for_each(|control| write(&mut machine, control, begin + HALF));
-        }
-        machine.run(1_000);
-        assert!((turns(&machine) - 3.5).abs() < 1e-3, "{mode}: {}", turns(&machine));
-        machine.done(0, Command::Disable);
-        machine.run(200);
-        assert!((turns(&machine) - 3.5).abs() < 0.01, "{mode}: {}", turns(&machine));
-        assert!((value(&machine, TARGET) - value(&machine, ACTUAL)).abs() < 50, "{mode}");
         machine.end_well();
     }
 }

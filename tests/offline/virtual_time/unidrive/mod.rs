@@ -5,8 +5,6 @@ mod commanding;
 mod functions;
 mod loss;
 mod others;
-mod pace;
-mod speeds;
 
 use std::net::{Ipv4Addr, SocketAddrV4};
 use std::sync::{Arc, Mutex, MutexGuard};

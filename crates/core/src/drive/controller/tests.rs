@@ -484,24 +484,6 @@ fn a_stop_is_as_steep_as_the_faster_of_demand_and_motor_requires() {
 }
 
 #[test]
-fn the_motor_may_settle_after_each_motion_and_not_at_any_other_time() {
-    let mut x = Alone::new(plan()).enabled();
-    for settles in [true, true, false] {
-        x.slot.status.velocity = 0.0;
-        x.turns(100);
-        if settles {
-            x.begin(Command::Home);
-            x.slot.status.velocity = 100.0;
-            x.turns(9);
-            x.ends(Ok(()));
-        }
-        x.slot.status.velocity = 40.0;
-        x.turns(9);
-        assert_eq!(x.stopped().is_none(), settles);
-    }
-}
-
-#[test]
 fn an_axis_that_was_found_running_and_then_stopped_is_braked_when_it_moves_again() {
     let mut x = found_running();
     x.done(Command::Stop { deceleration: None }, State::OperationEnabled);
@@ -842,27 +824,6 @@ fn a_drive_that_is_found_running_is_stopped_by_its_ramp_however_long_its_link_ta
     x.turns(80);
     assert_eq!(x.stopped(), Some(StopCause::FoundRunning));
     assert_eq!(x.controller.newest(), Some(Command::QuickStop));
-}
-
-#[test]
-fn a_reset_leaves_the_order_by_which_an_axis_holds_and_takes_no_drive_over_that_is_off_or_silent() {
-    let mut off = found_running();
-    off.slot.status.state = State::ReadyToSwitchOn;
-    off.turn();
-    let mut silent = found_running();
-    silent.misses(5);
-    assert_eq!(silent.link(), Link::Lost);
-    let mut plan = plan();
-    plan.stop.then = StopThen::Hold;
-    let mut holds = Alone::new(plan).enabled();
-    holds.controller.stop(&cycle(50), Time(20 * MS), StopCause::Overrun);
-    holds.turns(holds.controller.plan().stop.standstill_for);
-    assert!(matches!(holds.controller.newest(), Some(Command::Stop { .. })));
-    for (what, mut x) in [("off by itself", off), ("silent", silent), ("holds", holds)] {
-        let order = x.controller.machine.newest();
-        x.done_at_once(Command::Reset);
-        assert_eq!(x.controller.machine.newest(), order, "{what}");
-    }
 }
 
 #[test]

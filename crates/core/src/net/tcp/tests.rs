@@ -1,17 +1,14 @@
 //! Connections of this host.
 
 use super::*;
-use std::io::{Read, Write};
+use std::io::Write;
 use std::net::{SocketAddrV4, TcpListener, TcpStream};
 
 use nix::sys::socket::{getsockopt, sockopt};
 
-use crate::net::link::tests::{
-    accept, breaks, expect, listener, opened, patient, receive, reset, silent, wakes,
-};
+use crate::net::link::tests::{accept, breaks, listener, opened, patient, receive, reset, silent, wakes};
 use crate::net::link::{REPEATED_US, TCP_RTO_MIN_US};
 use crate::time::{MS, S};
-use fieldbeat_testing::until;
 
 /// The tests of this file own 127.75.x.0/24, one x each.
 fn address(x: u8, host: u8) -> SocketAddrV4 {
@@ -73,42 +70,6 @@ fn flags(fd: RawFd) -> i32 {
 }
 
 #[test]
-fn a_look_names_those_that_have_something_and_each_is_itself() {
-    let (mut tcp, mut drives, _listeners) = open(2, 40);
-    for round in 0..20 {
-        let speaking: Vec<_> = (0..40).filter(|index| index % 3 == round % 3).collect();
-        for &index in &speaking {
-            assert_eq!(tcp.send(index, &[index as u8, round as u8]).unwrap().1, 2);
-            expect(&mut drives[index], &[index as u8, round as u8]);
-            drives[index].write_all(&[index as u8, round as u8]).unwrap();
-        }
-        let mut received = Vec::new();
-        until("all received", || {
-            tcp.look();
-            while let Some(index) = tcp.ready() {
-                let mut room = [0; 8];
-                let (_, length) = tcp.receive(index, &mut room).unwrap().unwrap();
-                assert_eq!(room[..length], [index as u8, round as u8]);
-                received.push(index);
-            }
-            received.len() >= speaking.len()
-        });
-        received.sort();
-        assert_eq!(received, speaking);
-        tcp.look();
-        assert_eq!(tcp.ready(), None);
-    }
-    // One look names all of them.
-    drives.iter_mut().for_each(|drive| drive.write_all(b"all").unwrap());
-    until("40 at once", || {
-        tcp.look();
-        let mut indices: Vec<_> = std::iter::from_fn(|| tcp.ready()).collect();
-        indices.sort();
-        indices.into_iter().eq(0..40)
-    });
-}
-
-#[test]
 fn the_descriptor_wakes_for_what_arrives_over_connections_that_come_and_go() {
     for count in [1, 2] {
         let (mut tcp, mut drives, listeners) = open(3 + count, count);
@@ -137,87 +98,4 @@ fn the_descriptor_wakes_for_what_arrives_over_connections_that_come_and_go() {
             assert!(count == 1 || tcp.fd() == fd, "that of several stays the same");
         }
     }
-}
-
-#[test]
-fn a_wire_that_takes_no_more_says_how_much_it_took() {
-    let (mut tcp, mut drives, _listeners) = open(6, 1);
-    let pattern: Vec<u8> = (0..65_521).map(|k| (k % 251) as u8).collect();
-    let mut taken = Vec::new();
-    let mut short = 0;
-    // The peer's buffer and ours, some MiB; the kernel moves bytes from one to the other meanwhile.
-    let mut full = 0;
-    while full < 100 {
-        let begin = taken.len() % pattern.len();
-        let (_, count) = tcp.send(0, &pattern[begin..]).unwrap();
-        taken.extend_from_slice(&pattern[begin..begin + count]);
-        short += usize::from(count > 0 && count < pattern.len() - begin);
-        full += usize::from(count == 0);
-    }
-    assert!(short > 0, "never a short write in {} bytes", taken.len());
-    let mut got = vec![0; taken.len()];
-    drives[0].read_exact(&mut got).unwrap();
-    assert!(got == taken);
-}
-
-#[test]
-fn requests_and_replies_are_stamped_in_order_and_cut_where_the_room_ends() {
-    let (mut tcp, mut drives, _listeners) = open(7, 1);
-    // A request is stamped before it leaves, and a reply when it was taken in.
-    let before = MonotonicClock::read();
-    let (sent, _) = tcp.send(0, b"request").unwrap();
-    let between = MonotonicClock::read();
-    expect(&mut drives[0], b"request");
-    drives[0].write_all(b"reply").unwrap();
-    assert!(wakes(tcp.fd(), 20 * S));
-    let (came, _) = tcp.receive(0, &mut [0; 8]).unwrap().unwrap();
-    assert!(before <= sent && sent <= between && between < came && came <= MonotonicClock::read());
-    // What does not fit the room comes next, and a room of nothing is no end.
-    assert_eq!(tcp.receive(0, &mut [0; 8]), Ok(None));
-    drives[0].write_all(b"abcdefgh").unwrap();
-    assert!(wakes(tcp.fd(), 20 * S));
-    assert_eq!(tcp.receive(0, &mut []), Ok(None));
-    let mut room = [0; 5];
-    assert!(matches!(tcp.receive(0, &mut room), Ok(Some((_, 5)))));
-    assert_eq!(&room, b"abcde");
-    assert!(matches!(tcp.receive(0, &mut room), Ok(Some((_, 3)))));
-    assert_eq!(&room[..3], b"fgh");
-    // Sending to a peer that is gone is an error and no signal.
-    reset(drives.remove(0));
-    assert!(wakes(tcp.fd(), 20 * S));
-    assert_eq!(tcp.send(0, b"request"), Err(Broken::Failed(libc::ECONNRESET)));
-    assert_eq!(tcp.send(0, b"request"), Err(Broken::Failed(libc::EPIPE)));
-}
-
-#[test]
-fn what_is_not_open_is_absent() {
-    let thread = LinkThread::start(None).unwrap();
-    let mut tcp = Tcp::open(&thread, vec![patient(address(10, 10), silent())]).unwrap();
-    for index in [0, 1, usize::MAX] {
-        assert_eq!(tcp.send(index, b"request"), Err(Broken::Absent));
-        assert_eq!(tcp.receive(index, &mut [0; 8]), Err(Broken::Absent));
-        tcp.abandon(index, "it was never there");
-    }
-    tcp.look();
-    assert_eq!((tcp.ready(), tcp.opened()), (None, None));
-    // A carrier of nobody.
-    let mut none = Tcp::open(&thread, Vec::new()).unwrap();
-    none.look();
-    assert_eq!((none.ready(), none.opened()), (None, None));
-}
-
-#[test]
-fn a_peer_given_up_between_the_look_and_its_turn_is_absent_and_hurts_no_other() {
-    let (mut tcp, mut drives, _listeners) = open(11, 2);
-    drives.iter_mut().for_each(|drive| drive.write_all(b"x").unwrap());
-    until("both", || {
-        tcp.look();
-        tcp.found == 2
-    });
-    tcp.abandon(0, "its bus says so");
-    let mut results: Vec<_> =
-        std::iter::from_fn(|| tcp.ready().map(|index| (index, tcp.receive(index, &mut [0; 8])))).collect();
-    results.sort_by_key(|(index, _)| *index);
-    assert_eq!(results[0], (0, Err(Broken::Absent)));
-    assert!(matches!(results[1], (1, Ok(Some((_, 1))))), "{results:?}");
 }

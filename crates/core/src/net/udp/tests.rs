@@ -42,38 +42,6 @@ fn receive(udp: &mut Udp, count: usize) -> Vec<(SocketAddrV4, Vec<u8>, bool)> {
 }
 
 #[test]
-fn more_than_two_batches_go_and_come() {
-    for (x, mode) in [(1, SendMode::Batch), (2, SendMode::Each)] {
-        let mut udp = Udp::bind(address(x, 1), &options(150, mode)).unwrap();
-        let peers: Vec<_> = (0..150).map(|host| peer(x, 100 + host)).collect();
-        let mut outbox = outbox(&(0..150).map(|host| address(x, 100 + host)).collect::<Vec<_>>());
-        outbox.post(77, false);
-        let mut last = MonotonicClock::read();
-        udp.send(&mut outbox);
-        let after = MonotonicClock::read();
-        let mut bytes = [0; 8];
-        for (index, peer) in peers.iter().enumerate() {
-            if index == 77 {
-                assert_eq!(outbox.sent(index), Sent::Idle);
-                continue;
-            }
-            let Sent::At(at) = outbox.sent(index) else { panic!("{index}: {:?}", outbox.sent(index)) };
-            // In a batch they leave together.
-            assert!(last <= at && at <= after && (mode == SendMode::Batch || last < at), "{index}");
-            last = at;
-            let (length, from) = peer.recv_from(&mut bytes).unwrap();
-            assert_eq!((length, bytes[0]), (1, index as u8));
-            peer.send_to(&bytes[..1], from).unwrap();
-        }
-        let mut got = receive(&mut udp, 149);
-        got.sort();
-        let expected: Vec<_> =
-            (0..150).filter(|k| *k != 77).map(|k| (address(x, 100 + k), vec![k], false)).collect();
-        assert_eq!(got, expected);
-    }
-}
-
-#[test]
 fn a_failing_message_hurts_no_other() {
     // Broadcast without SO_BROADCAST, first, in the middle, twice in a row, at a batch's end, last; and a message that
     // is too long for UDP.
@@ -122,18 +90,6 @@ fn a_dead_peer_on_a_living_host_is_no_error() {
         assert_eq!(living.recv(&mut [0; 8]).unwrap(), 1);
     }
     assert_eq!(udp.receive(&mut |_| ()).unwrap(), 0);
-}
-
-#[test]
-fn too_long_is_cut_and_marked_and_unknown_senders_are_named() {
-    let mut udp = Udp::bind(address(7, 1), &options(1, SendMode::Batch)).unwrap();
-    let unknown = peer(7, 200);
-    unknown.send_to(&[7; 64], address(7, 1)).unwrap();
-    unknown.send_to(&[8; 65], address(7, 1)).unwrap();
-    unknown.send_to(&[], address(7, 1)).unwrap();
-    let from = address(7, 200);
-    let expected = [(from, vec![7; 64], false), (from, vec![8; 64], true), (from, vec![], false)];
-    assert_eq!(receive(&mut udp, 3), expected);
 }
 
 #[test]

@@ -124,20 +124,6 @@ fn the_orderly_end_closes_reports_and_unregisters() {
 }
 
 #[test]
-fn the_orderly_end_without_a_session_is_reported_at_once_and_made_up_for() {
-    let mut bench = Bench::running(|_| ());
-    bench.lose();
-    bench.wish(Wish::Close { generation: 1 });
-    assert_eq!(bench.news(), [News::Closed { generation: 1 }]);
-    // Should there be time for it, the drive is not left with the connection; what it is does not matter.
-    bench.begin();
-    bench.trade(IDENTIFY, IDENTITY_REPLY);
-    bench.trade(CLOSE, CLOSED);
-    bench.unregisters();
-    assert_eq!(bench.news(), []);
-}
-
-#[test]
 fn news_wait_for_a_loop_that_does_not_take_them() {
     let mut bench = Bench::running(|_| ());
     for _ in 0..40 {

@@ -30,23 +30,6 @@ const TWO_ZEROS: (&str, &str) =
     ("01 04 20 04 24 66 2C 70 2C 65", "01 06 20 04 24 66 2C 70 2C 65 80 01 00 00");
 
 #[test]
-fn an_owner_registers_identifies_the_drive_and_opens_its_connection() {
-    let mut bench = Bench::of_drive(|_| ());
-    bench.begin();
-    assert_eq!(bench.state, HandshakeState::More);
-    bench.trade(IDENTIFY, IDENTITY_REPLY);
-    assert_eq!(bench.state, HandshakeState::More);
-    bench.trade(PROFILE, SECOND);
-    assert_eq!(bench.state, HandshakeState::Kept);
-    // What its enable depends on is known before the connection is open.
-    assert_eq!(bench.news(), [READ_NOTHING]);
-    bench.trade(OPEN, OPENED);
-    assert_eq!(bench.news(), [News::Opened(connection())]);
-    bench.silence();
-    assert_eq!((bench.note(), bench.session.unmatched), (String::new(), 0));
-}
-
-#[test]
 fn the_register_of_its_reference_is_read_before_the_opening() {
     for (answer, homed) in [
         ("BC 00 00 00 00 02 9F 33 00 00 00 01", Some(true)),

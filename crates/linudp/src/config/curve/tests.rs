@@ -90,15 +90,6 @@ fn the_sample_is_a_lift() {
 }
 
 #[test]
-fn rows_between_two_counts_are_no_mistake() {
-    // 1 ms in 3 steps, as `to_text` and as a spreadsheet round it.
-    let head = "# id = 1\n# kind = \"time\"\n# length = 1\ntime_ms,position_mm\n";
-    let curve = read(&format!("{head}0,0\n0.333333,1\n0.666667,2\n1,3\n"));
-    assert_eq!(read(&format!("{head}0,0\n0.33,1\n0.67,2\n1,3\n")), curve);
-    assert!(to_text(&curve).unwrap().contains("\n0.333333,1\n0.666667,2\n"));
-}
-
-#[test]
 fn every_mistake_says_where_it_is_and_what_would_be_right() {
     let mut lines = MISTAKES.lines();
     let mut cases = 0;

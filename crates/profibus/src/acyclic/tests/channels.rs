@@ -4,36 +4,6 @@ use super::*;
 
 /// The page of the vendor: 43 degrees.
 const READ_C0061: [u8; 8] = [0x10, 0x3D, 0, 0, 0, 0, 0, 0];
-const IS_43: [u8; 8] = [0x20, 0x3D, 0, 0, 0, 0x06, 0x8F, 0xB0];
-
-#[test]
-fn pkw_reads_and_shows_no_job_before_the_next_one() {
-    let mut side = Side::new(PKW);
-    let mut seen = Vec::new();
-    for _ in 0..2 {
-        let mut ticket = side.read(C0061);
-        let mut late = 3;
-        let end = side.by_channel(&mut ticket, |out| {
-            if seen.last() != Some(&out) {
-                seen.push(out);
-            }
-            late -= i32::from(out == READ_C0061);
-            Some(if out == READ_C0061 && late < 0 { IS_43 } else { [0; 8] })
-        });
-        assert_eq!(end, Ok(430_000));
-        assert!(!side.access.is_idle(), "the job is still there");
-    }
-    assert_eq!(seen, [[0; 8], READ_C0061, [0; 8], READ_C0061]);
-    // The old answer stands for a while: there is no next job before it has gone.
-    let mut ticket = side.read(C0061);
-    let mut turn = 0;
-    let end = side.by_channel(&mut ticket, |out| {
-        turn += 1;
-        assert_eq!(out == READ_C0061, turn > 5, "{turn}");
-        Some(if (5..=7).contains(&turn) { [0; 8] } else { IS_43 })
-    });
-    assert_eq!((end, turn), (Ok(430_000), 8));
-}
 
 #[test]
 fn pkw_without_a_pause_goes_from_code_to_code_and_pauses_before_the_same_one() {
@@ -235,30 +205,6 @@ fn drivecom_answers_say_what_the_value_is() {
 }
 
 #[test]
-fn drivecom_takes_the_reply_of_its_own_handshake_index_and_subindex_only() {
-    let mut side = Side::new(ParameterPath::Drivecom);
-    let mut ticket = side.read(C0039_2);
-    let mut turn = 0;
-    let end = side.by_channel(&mut ticket, |out| {
-        if out[0] & 7 == 0 {
-            return Some([0; 8]);
-        }
-        turn += 1;
-        let mut reply = [out[0] & 0x40 | 0x31, out[1], out[2], out[3], 0, 0, 0, 7];
-        match turn {
-            1 => reply[0] ^= 0x40,
-            2 => reply[1] ^= 1,
-            3 => reply[2] ^= 1,
-            4 => reply[3] ^= 1,
-            5 => return None,
-            _ => {}
-        }
-        Some(reply)
-    });
-    assert_eq!((end, turn), (Ok(7), 6));
-}
-
-#[test]
 fn drivecom_begins_against_what_the_drive_shows() {
     // One that still shows the bit of a master before, and follows at once, later, or not at all.
     for follows in [Some(0), Some(1), Some(3), None] {
@@ -322,50 +268,6 @@ fn a_write_whose_answer_is_lost_is_uncertain_and_never_written_again() {
         assert_eq!(side.turn(), Sent::Exchange([0; 8]));
         side.access.channel_answered(&[0; 8]);
         assert!(matches!(side.turn(), Sent::Exchange(job) if job[7] == 5));
-    }
-}
-
-#[test]
-fn the_answer_to_a_call_that_has_timed_out_is_not_that_of_the_next_one() {
-    for (path, cancels) in
-        [PKW, ParameterPath::Drivecom].into_iter().flat_map(|path| [(path, false), (path, true)])
-    {
-        let mut side = Side::new(path);
-        side.rest(3, [0; 8]);
-        let mut first = side.write(C0039_2, 1);
-        let Sent::Exchange(job) = side.turn() else { panic!("a channel") };
-        side.access.channel_answered(&[0; 8]);
-        let why = if cancels { CallError::Cancelled } else { CallError::TimedOut };
-        if cancels {
-            first.cancel();
-        } else {
-            side.now = side.now + 6 * S;
-        }
-        let mut second = side.write(C0039_2, 2);
-        for _ in 0..20 {
-            assert_eq!(side.turn(), Sent::Exchange(job), "it stands until its answer");
-            assert!(side.access.commands());
-            side.access.channel_answered(&[0; 8]);
-        }
-        assert_eq!(first.poll(), Some(Err(why)));
-        let mut late = job;
-        late[0] = if path == PKW { 0x50 | job[0] & 0xF } else { job[0] & 0x40 };
-        let end = side.by_channel(&mut second, |out| {
-            Some(match out {
-                _ if out == job => late,
-                [0x80, .., 2] => [0x50, out[1], out[2], 0, 0, 0, 0, 2],
-                [service, .., 2] => [service & 0x40, out[1], out[2], out[3], 0, 0, 0, 0],
-                _ => [out[0] & 0x40, 0, 0, 0, 0, 0, 0, 0],
-            })
-        });
-        assert_eq!(end, Ok(2), "{path:?}");
-        // One that never answers holds up nothing for ever.
-        let mut side = Side::new(path);
-        let mut ticket = side.write(C0039_2, 1);
-        assert_eq!(side.by_channel(&mut ticket, |_| Some([0; 8])), Err(CallError::TimedOut));
-        assert!(side.access.commands());
-        side.rest(2_100, [0; 8]);
-        assert!(side.access.is_idle() && !side.access.commands(), "{path:?}");
     }
 }
 

@@ -1,7 +1,6 @@
 //! Path C, and records.
 
 use super::*;
-use fieldbeat_core::axis::acyclic::long::raw;
 
 /// A drive by MSAC1: one answer is stored; so many polls before it comes. It counts what it carries out.
 struct Module {
@@ -136,27 +135,6 @@ fn msac1_reads_c0061_with_the_telegrams_of_the_sheet() {
 }
 
 #[test]
-fn several_codes_are_read_in_one_request_each_with_its_own_end() {
-    let (mut side, mut module) = (Side::new(MSAC1), Module::new());
-    let unknown = code(999, 0, Kind::Own);
-    let mut others = [side.read(code(39, 2, Kind::Own)), side.read(unknown)];
-    let mut last = side.read(C0061);
-    assert_eq!(module.end(&mut side, &mut last), Ok(430_000));
-    let ends = others.each_mut().map(|ticket| ticket.poll().unwrap().map(|answer| answer.value));
-    assert_eq!((module.requests, ends), (1, [Ok(7), Err(CallError::Refused(0))]));
-    // More than a request holds, and another call behind them.
-    let mut many: Vec<CallTicket> = (0..BATCH + 3).map(|_| side.read(C0061)).collect();
-    let mut record = side.read(record(1, 3));
-    assert_eq!(module.end(&mut side, &mut record), Ok(0x03_0201));
-    assert!(many.iter_mut().all(|ticket| ticket.poll().unwrap().unwrap().value == 430_000));
-    assert_eq!(module.requests, 3);
-    // In a series, nothing behind the first that fails is reported as done.
-    let mut series = side.series(&[(READ, C0061, 0), (READ, unknown, 0), (READ, C0061, 0)]);
-    assert_eq!(module.end(&mut side, &mut series[2]), Err(CallError::Skipped));
-    assert!(series[0].poll().unwrap().is_ok());
-}
-
-#[test]
 fn writes_go_together_unless_the_first_that_fails_has_to_end_the_rest() {
     let (mut side, mut module) = (Side::new(MSAC1), Module::new());
     let mut first = side.write(C0039_2, (-5_i32) as u32 as u64);
@@ -221,73 +199,6 @@ fn the_format_of_a_response_is_obeyed_and_one_that_contradicts_its_address_is_re
         };
         let learned = |(value, kind)| (value, super::super::super::target::learned(address, kind));
         assert_eq!(end, expected.map(learned).map_err(CallError::Refused), "{address:X} {format:X}");
-    }
-}
-
-#[test]
-fn a_response_to_another_request_is_not_taken_and_one_that_is_cut_ends_the_call() {
-    let (mut side, mut module) = (Side::new(MSAC1), Module::new());
-    let mut ticket = side.read(C0061);
-    let mut foreign = 2;
-    let end = side.by_msac1(&mut ticket, |data| match module.exchange(data) {
-        Reply::Data(mut data) if data[0] == 0x5E && foreign > 0 => {
-            foreign -= 1;
-            // The record is read again, and the drive has the right one by then.
-            (module.request, module.left) = (Some(vec![1, 1, 0, 1, 0x10, 0, 0x5F, 0xC2, 0, 0]), 0);
-            data[4] = 0x77;
-            data[13] ^= 1;
-            Some(Reply::Data(data))
-        }
-        reply => Some(reply),
-    });
-    assert_eq!((end, foreign), (Ok(430_000), 0));
-    type Change = fn(&mut Vec<u8>);
-    let changes: [(&str, Change); 6] = [
-        ("cut", |data| data.truncate(data.len() - 1)),
-        ("cut inside", |data| (data[3], _) = (data[3] - 1, data.pop())),
-        ("another axis", |data| data[6] ^= 1),
-        ("another number of parameters", |data| data[7] ^= 1),
-        ("another id", |data| data[5] ^= 3),
-        ("another service", |data| data[0] ^= 0x20),
-    ];
-    for (what, change) in changes {
-        for service in [READ, WRITE] {
-            let (mut side, mut module) = (Side::new(MSAC1), Module::new());
-            let mut ticket = side.post(service, C0039_2, 1);
-            let end = side.by_msac1(&mut ticket, |data| {
-                let mut reply = module.exchange(data);
-                match &mut reply {
-                    Reply::Data(data) if data[0] == 0x5E => change(data),
-                    _ => {}
-                }
-                Some(reply)
-            });
-            let status = if service == READ { BROKEN } else { BROKEN_WRITE };
-            assert_eq!(end, Err(CallError::Refused(status)), "{what}");
-        }
-    }
-}
-
-#[test]
-fn whatever_is_lost_a_read_is_done_and_a_write_sent_once() {
-    // Each telegram in turn is lost: the request, or the answer to it.
-    for (lost, answer) in (0..16).flat_map(|lost| [(lost, false), (lost, true)]) {
-        let run = |call: &dyn Fn(&Side) -> CallTicket| {
-            let (mut side, mut module) = (Side::new(MSAC1), Module::new());
-            let (mut ticket, mut number) = (call(&side), 0);
-            let end = side.by_msac1(&mut ticket, |data| {
-                number += 1;
-                let arrives = number - 1 != lost || answer;
-                arrives.then(|| module.exchange(data)).filter(|_| number - 1 != lost)
-            });
-            (end, module.written.len())
-        };
-        assert_eq!(run(&|side| side.read(C0061)), (Ok(430_000), 0), "{lost} {answer}");
-        assert_eq!(run(&|side| side.read(record(1, 3))), (Ok(0x03_0201), 0), "{lost} {answer}");
-        // It may be uncertain. It was never done twice, and is never said to be done if it was not.
-        let (end, written) = run(&|side| side.write(C0039_2, 9));
-        assert!(matches!((&end, written), (Ok(9), 1) | (Err(CallError::TimedOut), 0 | 1)), "{lost} {answer}");
-        assert!(end.is_ok() || lost == 0 || answer, "a request or a poll that never arrived costs nothing");
     }
 }
 
@@ -459,39 +370,6 @@ fn a_text_is_read_whole_or_in_parts() {
         let (end, bytes, count) = text(most);
         assert_eq!((bytes, count), (expected.clone(), requests));
         assert_eq!(end, Ok(0x30_3938), "the last three characters");
-    }
-}
-
-#[test]
-fn a_text_is_written_whole_by_msac1_and_refused_by_name_elsewhere() {
-    let to = code(199, 0, Kind::Text);
-    let calls = |text: &[u8]| [(LOAD, to, raw(text)), (STORE, to, text.len() as u64)];
-    for (text, pad) in [(b"axis 1".as_slice(), &[][..]), (b"axis 12", &[0])] {
-        let (mut side, mut module) =
-            (Side::new(MSAC1), Module { values: vec![(0x5F38, 0)], ..Module::new() });
-        let mut tickets = side.series(&calls(text));
-        assert_eq!(module.end(&mut side, &mut tickets[1]), Ok(text.len() as u64));
-        let head = [1, 2, 0, 1, 0x10, 0, 0x5F, 0x38, 0, 0, 9, text.len() as u8];
-        assert_eq!(module.written, [[&head[..], text, pad].concat()]);
-    }
-    // A drive that refuses, and paths without texts.
-    let refused = |path, why| {
-        let (mut side, mut module) = (Side::new(path), Module::new());
-        let mut tickets = side.series(&calls(b"axis 1"));
-        let end = module.end(&mut side, &mut tickets[1]);
-        assert_eq!(end, Err(CallError::Refused(why)), "{path:?}");
-        module.written.len()
-    };
-    assert_eq!(refused(MSAC1, 0), 1);
-    for (path, why) in [(ParameterPath::None, NO_PATH), (PKW, NO_TEXT), (ParameterPath::Drivecom, NO_TEXT)] {
-        assert_eq!(refused(path, why), 0);
-    }
-    // What was not handed over, and what is not written so.
-    let mut side = Side::new(MSAC1);
-    for (service, address, why) in [(STORE, to, NOT_LOADED), (WRITE, to, NO_CALL), (STORE, C0039_2, NO_CALL)]
-    {
-        let mut ticket = side.post(service, address, 6);
-        assert_eq!(side.by_msac1(&mut ticket, |_| None), Err(CallError::Refused(why)));
     }
 }
 

@@ -157,23 +157,6 @@ fn what_a_drive_does_not_tell_is_a_dash_and_null() {
 }
 
 #[test]
-fn a_fault_of_the_records_has_its_name_from_the_header() {
-    let (mut header, mut records) = machine();
-    header.axes[1].faults.insert(30, "watchdog".into());
-    for record in &mut records {
-        match record {
-            Record::Drive(drive) if drive.index > 101 && drive.axis == 1 => drive.fault = 30,
-            Record::Drive(drive) if drive.index > 101 => drive.fault = 999,
-            _ => {}
-        }
-    }
-    let found: Vec<String> = events(&header, &records).into_iter().map(|one| one.what).collect();
-    for what in ["fault none -> 0x001e (30, watchdog)", "fault none -> 0x03e7 (999)"] {
-        assert!(found.iter().any(|found| found == what), "{found:?}");
-    }
-}
-
-#[test]
 fn an_emergency_is_reported_by_its_name_when_it_came() {
     let (mut header, mut records) = machine();
     header.axes[0].faults.insert(0x4310, "motor temperature".into());

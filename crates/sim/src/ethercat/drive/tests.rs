@@ -188,41 +188,6 @@ impl Bench {
 }
 
 #[test]
-fn states_of_the_bus_come_one_after_the_other_and_go_at_once() {
-    use AlState::{Boot, Init, Op, PreOp, SafeOp};
-    let mut bench = Bench::new(|_| {});
-    for (to, taken) in [(SafeOp, false), (Op, false), (PreOp, true), (Op, false), (Boot, false)] {
-        assert_eq!(bench.enter(to), if taken { Ok(()) } else { Err(AlCode::INVALID_REQUEST) }, "{to}");
-    }
-    bench.go_to_op();
-    for (to, taken) in
-        [(Boot, false), (PreOp, true), (Init, true), (Boot, true), (PreOp, false), (Init, true)]
-    {
-        assert_eq!(bench.enter(to), if taken { Ok(()) } else { Err(AlCode::INVALID_REQUEST) }, "{to}");
-        assert!(to == Boot || !bench.drive.is_synchronous());
-    }
-}
-
-#[test]
-fn op_is_refused_until_the_drive_is_synchronous_and_that_is_f28() {
-    let mut bench = Bench::pre_op(|_| {});
-    bench.enter(AlState::SafeOp).unwrap();
-    bench.cycles(99);
-    assert!(bench.status().has(StatusWord::WARNING), "n17");
-    assert_eq!(bench.enter(AlState::Op), Err(AlCode::SYNCHRONISATION));
-    assert_eq!(bench.drive.al_state(), AlState::SafeOp);
-    assert_eq!(bench.drive.fault(), Some(Fault::SYNCHRONISATION));
-    bench.cycle();
-    assert!(!bench.status().has(StatusWord::WARNING));
-    assert_eq!(bench.enter(AlState::Op), Ok(()));
-    bench.control(0);
-    assert_eq!(bench.status().state(), State::Fault);
-    bench.control(0x80);
-    assert_eq!(bench.status().state(), State::SwitchOnDisabled);
-    assert_eq!(bench.emergencies(), [0x8700, 0]);
-}
-
-#[test]
 fn going_through_pre_op_deletes_what_is_not_fatal() {
     let mut bench = Bench::pre_op(|_| {});
     bench.drive.provoke(Fault::MAINS);
@@ -297,19 +262,6 @@ fn the_status_words_of_the_sheet_are_those_on_the_way_up() {
 }
 
 #[test]
-fn outputs_count_in_op_only() {
-    let mut bench = Bench::pre_op(|_| {});
-    bench.enter(AlState::SafeOp).unwrap();
-    bench.cycles(100);
-    [0x06, 0x07, 0x0F].into_iter().for_each(|word| bench.control(word));
-    assert_eq!(bench.status(), StatusWord(0x0240));
-    bench.inputs.fill(0xEE);
-    bench.enter(AlState::PreOp).unwrap();
-    bench.cycle();
-    assert!(bench.inputs.iter().all(|byte| *byte == 0xEE), "no actual values in PREOP");
-}
-
-#[test]
 fn leaving_op_stops_quickly_and_switches_off() {
     let mut bench = Bench::turning(2_000, 200);
     bench.enter(AlState::SafeOp).unwrap();
@@ -343,29 +295,6 @@ fn a_fault_stops_the_motor_and_is_reset_by_a_rising_edge() {
 }
 
 #[test]
-fn a_reset_bit_that_stands_when_op_is_reached_is_no_edge_and_an_earth_fault_outlives_one() {
-    let mut bench = Bench::op(Mode::DIGITAL_VELOCITY, 0x1702, 0x1B03);
-    bench.drive.provoke(Fault::MAINS);
-    bench.enter(AlState::SafeOp).unwrap();
-    bench.cycles(10);
-    bench.enter(AlState::Op).unwrap();
-    bench.control(0x80);
-    bench.cycles(10);
-    assert_eq!(bench.status().state(), State::Fault);
-    bench.control(0x00);
-    bench.control(0x80);
-    assert_eq!(bench.status().state(), State::SwitchOnDisabled);
-    bench.enable();
-    bench.drive.provoke(Fault::EARTH);
-    assert_eq!(bench.drive.axis_state(), State::Fault, "power is off at once");
-    bench.control(0x00);
-    bench.control(0x80);
-    assert_eq!(bench.status().state(), State::Fault);
-    bench.drive.restart(bench.now);
-    assert_eq!((bench.drive.fault(), bench.drive.al_state()), (None, AlState::Init), "by a cold start");
-}
-
-#[test]
 fn without_its_hardware_enable_it_has_no_power() {
     let mut bench = Bench::turning(1_000, 100);
     bench.drive.inhibit(bench.now + 50 * MS);
@@ -384,17 +313,4 @@ fn without_its_hardware_enable_it_has_no_power() {
     assert!(bench.drive.rpm() > 100.0);
     bench.drive.advance(bench.now + 100 * S);
     assert!(bench.drive.rpm().abs() < 1.0, "friction ends it");
-}
-
-#[test]
-fn areas_that_are_too_short_are_left_alone() {
-    let mut bench = Bench::op(Mode::DIGITAL_VELOCITY, 0x1702, 0x1B03);
-    let now = bench.now + MS;
-    let mut inputs = [0xEE; 7];
-    bench.drive.process(now, &[6, 0], &mut inputs);
-    assert_eq!((inputs, bench.drive.axis_state()), ([0xEE; 7], State::SwitchOnDisabled));
-    // Longer ones are written as far as the PDO goes.
-    let mut inputs = [0xEE; 9];
-    bench.drive.process(now + MS, &[0, 0, 0, 0, 6, 0, 0xFF], &mut inputs);
-    assert_eq!((inputs[8], bench.drive.axis_state()), (0xEE, State::ReadyToSwitchOn));
 }

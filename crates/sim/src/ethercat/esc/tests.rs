@@ -89,27 +89,6 @@ fn what_was_there_is_read_and_what_reaches_each_slave_is_written() {
 }
 
 #[test]
-fn process_data_counts_three_from_safeop_on_and_nothing_below() {
-    let mut bench = Bench::drives(|_| {});
-    let sent = [7; 28];
-    let image = Command::Lrw(0x1_0000);
-    assert_eq!(bench.send(image, &sent), (sent.to_vec(), 0));
-    bench.scripts[0].script().inputs = vec![1; 8];
-    bench.go(0, AlState::SafeOp);
-    bench.send(image, &sent);
-    let mut back = sent;
-    back[12..20].fill(1);
-    assert_eq!(bench.send(image, &sent), (back.to_vec(), 3));
-    bench.go(1, AlState::SafeOp);
-    assert_eq!(bench.send(image, &sent).1, 6);
-    assert_eq!(bench.send(Command::Lrd(0x1_0000), &sent).1, 2);
-    assert_eq!(bench.send(Command::Lwr(0x1_0000), &sent).1, 2);
-    // Of a slave whose outputs are not in it only the inputs count.
-    assert_eq!(bench.send(Command::Lrw(0x1_000C), &[0; 8]).1, 1);
-    assert_eq!(bench.send(Command::Lrw(0x1_0006), &[0; 6]).1, 2);
-}
-
-#[test]
 fn a_slave_does_not_do_what_its_features_lack() {
     let mut bench = Bench::drives(|settings| settings.features = Features(0x0784));
     bench.all_to(&[AlState::SafeOp]);
@@ -119,20 +98,6 @@ fn a_slave_does_not_do_what_its_features_lack() {
     for command in [Command::Brw(FREE), Command::Fprw(0x1001, FREE), Command::Aprw(0, FREE)] {
         assert_eq!(bench.send(command, &[7; 2]), (vec![7; 2], 0));
     }
-}
-
-#[test]
-fn a_power_cycle_loses_all_but_the_eeprom() {
-    let mut bench = Bench::drives(|_| {});
-    let now = bench.now;
-    bench.segment.slave(0).unwrap().restart(now);
-    assert_eq!(bench.scripts[0].script().restarts, 1);
-    assert_eq!(bench.send(Command::Aprd(0, address::STATION), &[0; 4]), (vec![0, 0, 0x77, 0], 1));
-    assert_eq!(bench.send(Command::Aprd(0, address::AL_STATUS), &[0; 2]), (vec![1, 0], 1));
-    assert_eq!(bench.send(Command::Aprd(0, address::SYNC_MANAGER), &[0; 4]), (vec![0; 4], 1));
-    assert_eq!(bench.state(1), (AlState::PreOp, None));
-    let slave = bench.segment.slave(0).unwrap();
-    assert_eq!((slave.state(), slave.error()), (AlState::Init, None));
 }
 
 #[test]

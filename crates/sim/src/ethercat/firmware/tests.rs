@@ -3,7 +3,7 @@ use super::super::testing::{Bench, Script, bytes, with_mailbox};
 use super::*;
 use fieldbeat_core::time::MS;
 use fieldbeat_ethercat::wire::frame::Command;
-use fieldbeat_ethercat::wire::registers::{AlState as S, SyncManager, address};
+use fieldbeat_ethercat::wire::registers::{AlState as S, address};
 
 /// The message of the sheet: read 1C00:0.
 const REQUEST: &str = "0A00 0000 00 13 0020 40 001C 00 00000000";
@@ -27,45 +27,6 @@ fn at(state: S) -> Bench {
     }
     script(&bench).requested.clear();
     bench
-}
-
-#[test]
-fn the_states_are_left_by_the_ways_there_are_and_no_others() {
-    let invalid = Some(AlCode(0x0011));
-    let states = [S::Init, S::PreOp, S::Boot, S::SafeOp, S::Op];
-    let refused = [
-        (S::Init, vec![S::SafeOp, S::Op]),
-        (S::PreOp, vec![S::Op, S::Boot]),
-        (S::Boot, vec![S::PreOp, S::SafeOp, S::Op]),
-        (S::SafeOp, vec![S::Boot]),
-        (S::Op, vec![S::Boot]),
-    ];
-    for (from, refused) in refused {
-        for to in states {
-            let mut bench = at(from);
-            let expected = if refused.contains(&to) { (from, invalid) } else { (to, None) };
-            assert_eq!(bench.go(0, to), expected, "{from} -> {to}");
-            let notified = from != to && expected.1.is_none();
-            assert_eq!(script(&bench).requested, if notified { vec![to] } else { vec![] }, "{from} -> {to}");
-        }
-    }
-}
-
-#[test]
-fn an_error_blocks_until_it_is_acknowledged_with_the_state_that_is_shown() {
-    let mut bench = at(S::PreOp);
-    bench.go(0, S::Op);
-    assert_eq!(bench.read(0, address::AL_STATUS), Some([0x12, 0, 0, 0, 0x11, 0]));
-    assert_eq!(bench.go(0, S::SafeOp), (S::PreOp, Some(AlCode(0x0011))), "a valid one is ignored, too");
-    assert_eq!(bench.go(0, S::Init), (S::PreOp, Some(AlCode(0x0011))));
-    bench.control(0, AlStatus(0x12));
-    assert_eq!(bench.read(0, address::AL_STATUS), Some([0x02, 0, 0, 0, 0, 0]));
-    assert_eq!(bench.go(0, S::SafeOp), (S::SafeOp, None));
-    // INIT and the acknowledgement in one, as a master begins.
-    bench.control(0, AlStatus(0x0C));
-    assert_eq!(bench.state(0), (S::SafeOp, Some(AlCode(0x0012))), "no state");
-    bench.control(0, AlStatus(0x11));
-    assert_eq!(bench.state(0), (S::Init, None));
 }
 
 #[test]
@@ -155,25 +116,6 @@ fn what_cannot_stay_in_op_falls_back_and_its_outputs_count_no_more() {
 }
 
 #[test]
-fn only_an_armed_watchdog_throws_it_out_of_op() {
-    for (control, armed) in [(0x24, false), (0x64, true)] {
-        let mut bench = at(S::PreOp);
-        let outputs = SyncManager { start: 0x1100, length: 6, control, activate: 1 };
-        bench.manage(0, 2, &outputs.to_bytes());
-        bench.go(0, S::SafeOp);
-        bench.idle(500);
-        bench.go(0, S::Op);
-        bench.send(Command::Lrw(0x1_0000), &[7; 28]);
-        bench.idle(99);
-        assert_eq!(bench.state(0), (S::Op, None));
-        bench.idle(1);
-        let fallen = (S::SafeOp, Some(AlCode::WATCHDOG));
-        assert_eq!(script(&bench).requested.last(), Some(if armed { &S::SafeOp } else { &S::Op }));
-        assert_eq!(bench.state(0), if armed { fallen } else { (S::Op, None) });
-    }
-}
-
-#[test]
 fn a_message_is_answered_once_and_its_places_are_empty_and_full_in_turn() {
     let mut bench = at(S::PreOp);
     let request = bytes(REQUEST);
@@ -192,26 +134,6 @@ fn a_message_is_answered_once_and_its_places_are_empty_and_full_in_turn() {
     assert_eq!(bench.read::<1>(0, 0x1FFF), Some([0]));
     assert_eq!(bench.read(0, 0x080D), Some([0x02]));
     assert_eq!(bench.send(Command::Fprd(0x1001, 0x1FFF), &[9]), (vec![9], 0), "the last byte alone too");
-}
-
-#[test]
-fn one_message_at_a_time() {
-    let mut bench = at(S::PreOp);
-    let with = |counter: u8| {
-        let mut message = vec![0; 0x400];
-        message[5] = counter << 4 | 3;
-        message
-    };
-    // The answer to the second has to wait for the first to be read, and the third for the second.
-    assert_eq!(bench.write(0, 0x1800, &with(1)), 1);
-    assert_eq!(bench.write(0, 0x1800, &with(2)), 1);
-    assert_eq!(bench.write(0, 0x1800, &with(3)), 1);
-    assert_eq!(bench.write(0, 0x1800, &with(4)), 0);
-    let counters = |bench: &mut Bench| bench.read::<0x400>(0, 0x1C00).map(|message| message[10] >> 4);
-    assert_eq!(counters(&mut bench), Some(1));
-    assert_eq!(script(&bench).requests.len(), 3);
-    assert_eq!([2, 3].map(Some), [counters(&mut bench), counters(&mut bench)]);
-    assert_eq!(counters(&mut bench), None);
 }
 
 #[test]

@@ -364,36 +364,6 @@ fn a_sensor_ends_a_move() {
 }
 
 #[test]
-fn without_traffic_the_motor_stops_after_zs_as_za_says() {
-    let run = |za: u8, zs: u16| {
-        let mut bench = Bench::enabled(|settings| {
-            (settings.firmware.zs_ms, settings.firmware.za) = (zs, za);
-            settings.network.first_packet_ns = 60 * S;
-        });
-        bench.command(JOG, &[(1, 2_400), (2, 600), (3, 600)]);
-        bench.idle_for(500 * MS);
-        bench.pass(u64::from(zs) * MS - 2 * MS);
-        assert_eq!(bench.status(), 1 | JOGGING, "{za}");
-        bench.pass(12 * MS);
-        bench
-    };
-    for (za, stopping, end) in [(13, false, 1), (14, true, 1), (15, false, 0), (16, true, 0)] {
-        let mut bench = run(za, 500);
-        assert_eq!(bench.status() & STOPPING != 0, stopping, "{za}");
-        bench.pass(S);
-        assert_eq!(bench.status(), end, "{za}");
-        assert!(bench.velocity().abs() < 1.0);
-    }
-    let mut segment = run(1, 300);
-    segment.pass(100 * MS);
-    assert_eq!(segment.status(), 0x4001);
-    let mut off = Bench::enabled(|settings| settings.firmware.zs_ms = 0);
-    off.command(JOG, &SLOWLY);
-    off.pass(100 * S);
-    assert_eq!(off.status(), 1 | JOGGING);
-}
-
-#[test]
 fn messages_feed_zs_and_heartbeats_only_if_set() {
     for (feeds, status) in [(true, 1 | JOGGING), (false, 1)] {
         let mut bench = Bench::new(|settings| settings.firmware.heartbeats_feed = feeds);

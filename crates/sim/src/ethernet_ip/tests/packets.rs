@@ -53,37 +53,6 @@ fn its_clock_drifts_and_its_packets_jitter_but_their_schedule_does_not() {
 }
 
 #[test]
-fn a_connection_lives_ten_seconds_until_its_first_packet_and_then_by_its_factor() {
-    let opened = |open: Forward| {
-        let mut bench = Bench::new(|_| {});
-        bench.open(&open);
-        bench
-    };
-    let slow = Forward { us: (100_000, 100_000), multiplier: 7, ..Forward::default() };
-    for (mut bench, ms) in [
-        (opened(Forward::default()), 10_000),
-        (Bench::owned(|_| {}), 160),
-        // Longer than ten seconds from the beginning, if the factor says so.
-        (opened(slow), 51_200),
-    ] {
-        bench.pass(ms * MS - 1);
-        assert_eq!(bench.sim.connections(), (1, 1), "{ms}");
-        let before = bench.sent.len();
-        bench.pass(1);
-        assert_eq!((bench.sim.connections().1, bench.sim.hangs_up(MASTER)), (0, true), "{ms}");
-        bench.pass(S);
-        assert_eq!(bench.sent.len(), before, "it stops sending");
-    }
-    // TCP stays while another connection of the originator lives, and ends with the last one.
-    let mut bench = Bench::owned(|_| {});
-    bench.open(&Forward::messages());
-    bench.pass(200 * MS);
-    assert_eq!((bench.sim.connections(), bench.sim.hangs_up(MASTER)), ((1, 1), false));
-    bench.pass(32 * S);
-    assert_eq!((bench.sim.connections().1, bench.sim.hangs_up(MASTER)), (0, true));
-}
-
-#[test]
 fn packets_that_are_not_the_connections_own_feed_nobody() {
     let mut bench = Bench::owned(|_| {});
     let good = packet(bench.id, 50, 50, 1, &outputs(0x2, &[]));
@@ -202,20 +171,6 @@ fn an_idle_owner_feeds_and_does_not_act() {
     stops.idle_for(100 * MS);
     stops.packet(0, &outputs(0, &[]));
     assert_eq!(stops.status() & 0x60, 0x60);
-}
-
-#[test]
-fn heartbeats_keep_an_input_only_connection() {
-    let mut bench = Bench::new(|_| {});
-    bench.open(&Forward::input_only());
-    let id = bench.id;
-    for sequence in 1..50 {
-        bench.pass(100 * MS);
-        bench.at(PACKETS, MASTER_IO, &heartbeat(id, sequence));
-    }
-    assert_eq!((bench.sim.connections().1, bench.sim.ignored()), (1, Ignored::default()));
-    bench.pass(160 * MS);
-    assert_eq!(bench.sim.connections().1, 0);
 }
 
 #[test]

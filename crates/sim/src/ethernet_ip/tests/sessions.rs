@@ -36,29 +36,6 @@ fn each_command_is_answered_with_its_status() {
 }
 
 #[test]
-fn sessions_are_bounded_of_one_version_and_belong_to_their_connection() {
-    let mut bench = Bench::new(|settings| settings.network.sessions = 2);
-    let register = |bench: &mut Bench, port, data: &[u8]| bench.raw(other(port), &frame(0x65, 0, data));
-    assert!(bench.sim.connect(bench.now, other(2)));
-    for data in [[2, 0, 0, 0], [1, 0, 1, 0]] {
-        let reply = register(&mut bench, 2, &data);
-        assert_eq!((reply[8], &reply[24..]), (0x69, &[1, 0, 0, 0][..]), "another version");
-    }
-    let reply = register(&mut bench, 2, &[1, 0]);
-    assert_eq!((reply[8], reply.len()), (0x65, 24));
-    let reply = register(&mut bench, 2, &[1, 0, 0, 0]);
-    assert_eq!((reply[8], &reply[4..8]), (0, &hex("02 01 00 00")[..]), "it can still be registered");
-    let session = bench.session;
-    assert_eq!(bench.raw(other(2), &frame(0x6F, session, &[0; 16]))[8], 0x64, "that of another connection");
-    assert!(bench.sim.connect(bench.now, other(3)));
-    assert_eq!(register(&mut bench, 3, &[1, 0, 0, 0])[8], 2);
-    assert!(bench.sim.connect(bench.now, other(4)));
-    assert!(!bench.sim.connect(bench.now, other(5)));
-    bench.sim.disconnected(bench.now, other(2));
-    assert_eq!(register(&mut bench, 3, &[1, 0, 0, 0])[8], 0);
-}
-
-#[test]
 fn frames_arrive_at_any_split_and_several_at_once() {
     let mut bench = Bench::new(|_| {});
     let session = bench.session;

@@ -4,23 +4,6 @@
 use super::*;
 
 #[test]
-fn a_command_is_counted_in_every_state_and_runs_once_for_each_new_count() {
-    let mut bench = Bench::new(|_| {});
-    // Below state 5 commands are ignored, but counted.
-    let response = bench.exchange(Some(go_to(CM, VAD).block(9)));
-    assert_eq!((response.state.unwrap().sub(), response.error), (0, Some(ErrorCode::NONE)));
-    bench.enable();
-    assert_eq!(bench.count, 9);
-    bench.home();
-    assert!(!bench.exchange(Some(go_to(CM, VAD).block(9))).status.unwrap().motion_active());
-    let step = MotionCommand { id: 0x012, ..go_to(CM, VAD) };
-    for count in [3, 3, 3, 7, 7, 0, 0] {
-        assert_eq!(bench.exchange(Some(step.block(count))).state.unwrap().count(), Some(count));
-    }
-    assert_eq!(bench.until_standing().actual, Some(3 * CM));
-}
-
-#[test]
 fn a_command_out_of_place_is_an_error_that_stops_the_motor_before_it_switches_off() {
     // State 6.
     let mut bench = Bench::homed();
@@ -79,36 +62,6 @@ fn a_move_takes_the_time_of_a_move() {
     let from = bench.command(MotionCommand::vai_stop(Acceleration(500_000))).demand.unwrap();
     let to = bench.until_standing().demand.unwrap();
     assert!((from - to - 250_000).abs() < 1_000, "{from} to {to}");
-}
-
-#[test]
-fn moves_start_from_demand_or_from_where_the_motor_is() {
-    let hard = Vad { velocity: 2_000_000, acceleration: 8_000_000, deceleration: 8_000_000 };
-    for (command, from_actual, moving) in [
-        (go_to(0, VAD), false, true),
-        (MotionCommand { id: 0x013, ..go_to(0, VAD) }, true, true),
-        (MotionCommand { id: 0x014, ..go_to(0, VAD) }, true, false),
-        (MotionCommand { id: 0x015, ..go_to(0, VAD) }, true, true),
-        (MotionCommand { id: 0x016, ..go_to(0, VAD) }, true, false),
-    ] {
-        let mut bench = Bench::homed();
-        bench.command(go_to(10 * CM, hard));
-        bench.now = bench.now + 10 * MS;
-        let before = bench.exchange(None);
-        assert!((before.demand.unwrap() - before.actual.unwrap()).abs() > 100, "no lag to see: {before:?}");
-        // At the same instant.
-        bench.count = (bench.count + 1) % 16;
-        let after = bench.ask(&Request {
-            response_def: ResponseDef(0xFF),
-            motion: Some(command.block(bench.count)),
-            ..Request::default()
-        });
-        assert_eq!(after.demand, if from_actual { before.actual } else { before.demand }, "{command:?}");
-        assert_eq!(after.monitor.unwrap()[0] != 0, moving, "{command:?}");
-        let increment = matches!(command.id, 0x015 | 0x016);
-        let target = if increment { before.actual } else { Some(0) };
-        assert_eq!(bench.until_standing().demand, target, "{command:?}");
-    }
 }
 
 #[test]

@@ -2,8 +2,7 @@
 
 use super::memory::curve;
 use super::*;
-use fieldbeat_linudp::curve::{Curve, CurveKind};
-use fieldbeat_linudp::motion::{AmplitudeScale, CurveId, CurveTime, Long, Offset, Short, TimeScale};
+use fieldbeat_linudp::motion::{AmplitudeScale, CurveId, CurveTime, Long, Offset, TimeScale};
 
 fn id(id: u16) -> CurveId {
     CurveId::new(id).unwrap()
@@ -32,20 +31,6 @@ fn demands(bench: &mut Bench, command: MotionCommand, at_ms: &[u64]) -> Vec<i32>
         response.demand.unwrap()
     };
     at_ms.iter().map(demand).collect()
-}
-
-#[test]
-fn a_curve_runs_through_its_setpoints_in_its_time() {
-    let mut bench = bench();
-    let run = demands(&mut bench, MotionCommand::curve_start(id(5)), &[1, 250, 500, 750, 999, 1_000, 1_500]);
-    assert_eq!(run, [200, CM / 2, CM, 25 * CM / 10, 399_400, 4 * CM, 4 * CM]);
-    assert_eq!(bench.until_standing().actual, Some(4 * CM));
-    // It moves for as long as it takes, and its target is where it ends.
-    bench.command(go_to(0, VAD));
-    bench.until_standing();
-    bench.command(MotionCommand::curve_start(id(5)));
-    assert_eq!(bench.until_stopped(), 1_000);
-    assert_eq!(bench.value(C::READ_RAM, 0x1E0A), 4 * CM as u32);
 }
 
 #[test]
@@ -80,40 +65,6 @@ fn bench_at(position: i32) -> Bench {
     bench.command(go_to(position, VAD));
     bench.until_standing();
     bench
-}
-
-#[test]
-fn what_does_not_fit_is_an_error() {
-    let wrong_scale = ErrorCode(0x0089);
-    for (command, code) in [
-        (MotionCommand::curve_start(id(6)), ErrorCode::CURVE_NOT_DEFINED),
-        // 100 m are 2500 times its way; no amplitude leads a curve back to its begin.
-        (MotionCommand::curve_start_to_target(id(5), Position(1_000 * CM)), wrong_scale),
-        (MotionCommand::curve_start_to_target(id(7), Position(CM)), wrong_scale),
-        (MotionCommand { id: 0x044, parameters: raw(&[5, 0, 0, 20_001, 1_000]) }, wrong_scale),
-        (MotionCommand { id: 0x044, parameters: raw(&[5, 0, 0, 10_000, 20_001]) }, wrong_scale),
-        // A cam is no time curve; one that begins elsewhere is a jump.
-        (MotionCommand::curve_start(id(8)), ErrorCode::CURVE_NOT_DEFINED),
-        (MotionCommand::curve_start(id(9)), ErrorCode::POSITION_LAG),
-        // Modified outside of it, into what is no curve, and where there is none.
-        (MotionCommand::curve_modify_two(id(5), Offset(8), Long(0), Long(0)), ErrorCode::UNKNOWN_COMMAND),
-        (MotionCommand::curve_modify_info_short(id(5), Offset(0), Short(72)), ErrorCode::UNKNOWN_COMMAND),
-        (MotionCommand::curve_modify_one(id(6), Offset(0), Long(0)), ErrorCode::CURVE_NOT_DEFINED),
-    ] {
-        let mut bench = bench();
-        bench.add_curve(&curve(7, &[3, 4, 3]));
-        bench.add_curve(&Curve { kind: CurveKind::Cam, ..curve(8, &[0, 1]) });
-        bench.add_curve(&curve(9, &[3 * CM, 2 * CM]));
-        assert_eq!(bench.fails(command), code, "{command:?}");
-    }
-    // Before homing there is no position.
-    let mut bench = Bench::new(|_| {});
-    bench.enable();
-    assert_eq!(bench.fails(MotionCommand::curve_start(id(8))), ErrorCode::NOT_HOMED);
-}
-
-fn raw(words: &[u16]) -> [u8; 30] {
-    std::array::from_fn(|at| words.get(at / 2).map_or(0, |word| word.to_le_bytes()[at % 2]))
 }
 
 #[test]

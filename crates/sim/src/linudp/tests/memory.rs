@@ -282,54 +282,6 @@ fn entries_are_refused_for_id_size_and_order() {
 }
 
 #[test]
-fn what_is_saved_is_there_after_a_restart_and_what_is_not_is_not() {
-    let mut bench = Bench::new(|_| {});
-    bench.add_curve(&curve(5, &[1, 2]));
-    let step = entry(go_to(CM, VAD), None);
-    bench.put_entry(9, &step);
-    assert_eq!(bench.rtc(C::SAVE_CURVES, [0; 3]).0, refused(Refusal::SoftwareRuns));
-    bench.stop_software();
-    for save in [C::SAVE_CURVES, C::SAVE_TABLE] {
-        let (status, _) = bench.rtc(save, [0; 3]);
-        assert_eq!(bench.settle(status), DONE);
-    }
-    bench.add_curve(&curve(6, &[3, 4]));
-    bench.put_entry(10, &step);
-    bench.restart();
-    assert_eq!(bench.get_curve(5), Some(curve(5, &[1, 2])));
-    assert_eq!((bench.get_curve(6), bench.get_entry(9), bench.get_entry(10)), (None, Some(step), None));
-    // Deleting is in RAM.
-    bench.rtc(C::DELETE_CURVES, [0; 3]);
-    bench.rtc(C::DELETE_TABLE, [0; 3]);
-    bench.restart();
-    assert!(bench.get_curve(5).is_some() && bench.get_entry(9).is_some());
-}
-
-#[test]
-fn a_drive_is_silent_while_it_saves_or_busy() {
-    for (flash, silent) in [(FlashMode::Silent, true), (FlashMode::Busy, false)] {
-        let mut bench = Bench::new(|plan| plan.flash = flash);
-        bench.stop_software();
-        let save = RtcBlock::command(9, C::SAVE_TABLE);
-        assert_eq!(bench.configure(save).status(), RtcStatus::Running);
-        for _ in 0..499 {
-            bench.now = bench.now + MS;
-            let answer = bench.try_configure(save);
-            match answer {
-                None => assert!(silent),
-                Some(answer) => {
-                    assert!(!silent && answer.count() == 9);
-                    assert_eq!(answer.status(), RtcStatus::Running);
-                }
-            }
-        }
-        bench.now = bench.now + MS;
-        assert_eq!(bench.configure(save).status(), DONE);
-        assert_eq!(bench.sim.ignored().deaf, if silent { 499 } else { 0 });
-    }
-}
-
-#[test]
 fn a_restart_in_a_save_leaves_nothing() {
     for save in [C::SAVE_CURVES, C::SAVE_TABLE] {
         let mut bench = Bench::new(|_| {});

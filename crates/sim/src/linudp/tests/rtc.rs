@@ -3,37 +3,6 @@
 use super::*;
 
 #[test]
-fn a_command_runs_if_its_count_is_new_and_else_its_answer_is_repeated() {
-    let mut bench = Bench::new(|_| {});
-    let nothing = RtcCommand::NO_OPERATION;
-    // The stored count is 0 after a start: a first command with 0 is not run.
-    assert_eq!(bench.configure(RtcBlock::call(0, RtcCommand::READ_RAM, 0x9999, 0)), RtcBlock::default());
-    for count in (1..16).chain(0..3) {
-        assert_eq!(
-            bench.configure(RtcBlock::command(count, nothing)),
-            RtcBlock::answer(count, RtcStatus::DONE)
-        );
-    }
-    let read = RtcBlock::call(4, RtcCommand::READ_RAM, 0x20A8, 0x7_0007);
-    let answer = RtcBlock { words: [0x20A8, 0x1E0F, 0], ..RtcBlock::answer(4, RtcStatus::DONE) };
-    assert_eq!(bench.configure(read), answer);
-    // The same count again, whatever it requests; reserved bits of the first byte are no part of it.
-    assert_eq!(bench.configure(RtcBlock::command(4, nothing)), answer);
-    assert_eq!(bench.configure(RtcBlock { tag: 0xF4, ..RtcBlock::command(4, nothing) }), answer);
-    let reserved = RtcBlock { tag: 0xA5, ..RtcBlock::command(0, nothing) };
-    assert_eq!(bench.configure(reserved), RtcBlock::answer(5, RtcStatus::DONE));
-    // Toggling between two counts is enough.
-    for n in 0..6 {
-        let write = RtcBlock::call(6 + n % 2, RtcCommand::WRITE_RAM, 0x1E72, n.into());
-        assert_eq!(bench.configure(write).status(), DONE);
-        assert_eq!(
-            bench.configure(RtcBlock::call(8 + n % 2, RtcCommand::READ_RAM, 0x1E72, 0)).value(),
-            u32::from(n)
-        );
-    }
-}
-
-#[test]
 fn a_command_that_takes_its_time_is_busy_and_no_other_is_taken() {
     let mut bench = Bench::new(|plan| plan.config_time_ns = 3 * MS);
     bench.configure(RtcBlock::command(0, RtcCommand::NO_OPERATION));
@@ -182,26 +151,6 @@ fn the_drive_works_with_its_parameters() {
     bench.command(MotionCommand::no_operation());
     assert_eq!(bench.exchange(None).error, Some(ErrorCode::NONE));
     assert_eq!(bench.fails(MotionCommand::vai_stop(Acceleration(1))), ErrorCode::WRONG_STATE);
-}
-
-#[test]
-fn the_home_position_takes_effect_when_the_software_starts() {
-    let mut bench = Bench::homed();
-    bench.write(C::WRITE_RAM, 0x13C7, 3 * CM as u32);
-    bench.home();
-    assert_eq!(bench.until_standing().actual, Some(0));
-    bench.control = ControlWord::BASE;
-    bench.exchange(None);
-    assert_eq!(bench.rtc(C::STOP_SOFTWARE, [0; 3]).0, DONE);
-    assert_eq!(bench.rtc(C::START_SOFTWARE, [0; 3]).0, DONE);
-    bench.enable();
-    bench.home();
-    assert_eq!(bench.until_standing().actual, Some(3 * CM));
-    // It stands where it stood: only the number is another one.
-    bench.restart();
-    bench.enable();
-    bench.home();
-    assert_eq!(bench.until_standing().actual, Some(0));
 }
 
 #[test]

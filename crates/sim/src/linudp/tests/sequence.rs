@@ -6,7 +6,7 @@ use super::memory::{curve, entry};
 use super::*;
 use fieldbeat_linudp::motion::{
     Bits, CATALOGUE, CommandInfo, ControllerSet, Current, CurrentLimit, EntryId, Kind, Long, Mark, Offset,
-    Raw, ScaledAcceleration, ScaledPosition, ScaledVelocity, Short, SignedVelocity, Upid, WaitTime,
+    Short, SignedVelocity, Upid, WaitTime,
 };
 use fieldbeat_linudp::table::Entry;
 
@@ -31,37 +31,6 @@ fn start(bench: &mut Bench) -> Response {
 
 fn variable(bench: &mut Bench, variable: u16) -> i32 {
     bench.value(C::READ_RAM, 0x1E71 + variable) as i32
-}
-
-#[test]
-fn a_loop_counts_and_moves_to_and_fro() {
-    // Three times to 20 mm and back, a tenth of a second at each end; variable 2 sums up.
-    let mut bench = bench(&[
-        MotionCommand::variable_1_set(Long(0)),
-        go_to(2 * CM, VAD),
-        MotionCommand::wait_until_motion_finished(),
-        MotionCommand::wait_time(WaitTime(1_000)),
-        go_to(0, VAD),
-        MotionCommand::wait_until_in_target(),
-        MotionCommand::wait_time(WaitTime(1_000)),
-        MotionCommand::variable_1_add(Long(1)),
-        MotionCommand::variable_2_add(Long(-10)),
-        MotionCommand::if_variable_1_less(Long(3), id(2), id(11)),
-        go_to(-CM, VAD),
-    ]);
-    start(&mut bench);
-    let (mut high, mut turns, mut was_high) = (0, 0, false);
-    for _ in 0..3_000 {
-        let response = bench.exchange(None);
-        assert_eq!(response.error, Some(ErrorCode::NONE));
-        let demand = response.demand.unwrap();
-        high = high.max(demand);
-        turns += u32::from(was_high && demand == 0);
-        was_high = demand == 2 * CM || was_high && demand > 0;
-    }
-    assert_eq!((high, turns), (2 * CM, 3));
-    assert_eq!((variable(&mut bench, 1), variable(&mut bench, 2)), (3, -30));
-    assert_eq!(bench.until_standing().actual, Some(-CM));
 }
 
 #[test]
@@ -108,53 +77,6 @@ fn a_loop_without_a_wait_keeps_the_drive_busy_and_no_more() {
     bench.write(C::WRITE_RAM, 0x1E72, i32::MAX as u32);
     bench.now = bench.now + MS;
     assert!(bench.exchange(None).error == Some(ErrorCode::NONE) && variable(&mut bench, 1) < 0);
-}
-
-#[test]
-fn the_table_ends_with_state_8_with_a_motion_from_the_bus_and_with_errors() {
-    // Counts every 10 ms.
-    let counting = || {
-        let mut bench = Bench::homed();
-        bench.put_entry(1, &entry(MotionCommand::variable_1_add(Long(1)), Some(2)));
-        bench.put_entry(2, &entry(MotionCommand::wait_time(WaitTime(100)), Some(1)));
-        start(&mut bench);
-        bench.now = bench.now + 100 * MS;
-        bench.exchange(None);
-        assert!(variable(&mut bench, 1) >= 9);
-        bench
-    };
-    let runs = |bench: &mut Bench| {
-        let before = variable(bench, 1);
-        bench.now = bench.now + 100 * MS;
-        bench.exchange(None);
-        variable(bench, 1) > before
-    };
-    for word in [0x002F, 0x001F, 0x0037, 0x003B, 0x003E, 0x083F, 0x013F] {
-        let mut bench = counting();
-        bench.state(ControlWord(word));
-        // Back at once.
-        bench.control = ControlWord::ON;
-        bench.exchange(None);
-        assert!(!runs(&mut bench), "{word:04X}h");
-    }
-    for (command, goes_on) in [
-        (MotionCommand::vai_stop(Acceleration(1_000_000)), false),
-        (go_to(CM, VAD), false),
-        (MotionCommand::new(0x999), false),
-        (MotionCommand::no_operation(), true),
-        (MotionCommand::clear_events(), true),
-        (MotionCommand::live_parameter(Upid(0x14BE), Raw(5)), true),
-        (MotionCommand::x4_outputs(Bits(1), Bits(1)), true),
-        (MotionCommand { id: 0x01A, ..go_to(CM, VAD) }, true),
-    ] {
-        let mut bench = counting();
-        bench.command(command);
-        assert_eq!(runs(&mut bench), goes_on, "{command:?}");
-    }
-    // Its entries are deleted under it.
-    let mut bench = counting();
-    bench.rtc(C::DELETE_TABLE, [0; 3]);
-    assert_eq!(bench.until_error(), ErrorCode::ENTRY_MISSING);
 }
 
 #[test]
@@ -254,31 +176,6 @@ fn every_command_of_the_catalogue_runs_or_is_refused_or_ignored() {
 }
 
 #[test]
-fn the_16_bit_commands_are_scaled_by_parameters() {
-    let mut bench = Bench::homed();
-    // Steps of 0.1 mm, 1 mm/s and 0.1 m/s2.
-    let go = MotionCommand::vai_16bit_go_to(
-        ScaledPosition(-200),
-        ScaledVelocity(500),
-        ScaledAcceleration(100),
-        ScaledAcceleration(50),
-    );
-    bench.command(go);
-    let limits = [0x1E0A, 0x1E0B, 0x1E0C, 0x1E0D].map(|upid| bench.value(C::READ_RAM, upid));
-    assert_eq!(limits, [(-2 * CM) as u32, 500_000, 1_000_000, 500_000]);
-    assert_eq!(bench.until_standing().actual, Some(-2 * CM));
-    bench.write(C::WRITE_RAM, 0x1455, 10_000);
-    bench.command(MotionCommand::vai_predefined_16bit_increment_target(ScaledPosition(3)));
-    assert_eq!(bench.value(C::READ_RAM, 0x1E0B), 1_000_000);
-    assert_eq!(bench.until_standing().actual, Some(-2 * CM + 30_000));
-    // 0.5 m/s with 50 steps of 0.1 m/s2: 25 mm.
-    bench.command(go_to(15 * CM, VAD));
-    bench.now = bench.now + 100 * MS;
-    let from = bench.command(MotionCommand::vai_16bit_stop(ScaledAcceleration(50))).demand.unwrap();
-    assert!((bench.until_standing().demand.unwrap() - from - 250_000).abs() < 1_000);
-}
-
-#[test]
 fn moves_to_variables_and_those_of_the_trigger_have_their_parameters() {
     let mut bench = Bench::homed();
     bench.write(C::WRITE_RAM, 0x1E73, 3 * CM as u32);
@@ -349,18 +246,6 @@ fn a_move_that_presses_stays_behind_without_an_error() {
     assert_eq!((pressed.current, pressed.error), (Some(300), Some(ErrorCode::NONE)));
     // Without the limit it is a lag.
     assert_eq!(bench.fails(go_to(21 * CM, VAD)), ErrorCode::POSITION_LAG);
-}
-
-#[test]
-fn an_entry_with_an_unknown_command_is_an_error_or_skipped() {
-    for (unknown, variable_1) in [(UnknownCommands::Refuse, 0), (UnknownCommands::Ignore, 5)] {
-        let mut bench = Bench::homed_with(|plan| plan.unknown_commands = unknown);
-        bench.put_entry(1, &Entry { header: 0x9990, ..entry(MotionCommand::no_operation(), Some(2)) });
-        bench.put_entry(2, &entry(MotionCommand::variable_1_set(Long(5)), None));
-        start(&mut bench);
-        let status = bench.exchange(None).status.unwrap();
-        assert_eq!((status.error(), variable(&mut bench, 1)), (variable_1 == 0, variable_1));
-    }
 }
 
 /// Entries as nobody would write them: any command, parameters that are small now and then, links that lead somewhere

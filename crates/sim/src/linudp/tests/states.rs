@@ -31,54 +31,6 @@ fn enabling_begins_with_bit_0_low_passes_all_states_and_takes_the_hardware_tests
 }
 
 #[test]
-fn an_error_is_acknowledged_by_an_edge_and_ends_in_state_0() {
-    let mut bench = Bench::homed();
-    bench.sim.provoke(ErrorCode(0x0003));
-    assert_eq!(bench.until_error(), ErrorCode(0x0003));
-    // Switching off changes nothing; the edge does, and with bit 0 still set the drive stays locked in 0.
-    assert_eq!(bench.state(ControlWord::BASE), StateVar(0x0403));
-    assert_eq!(bench.state(ControlWord(0x00BF)).main(), MainState::NOT_READY);
-    bench.now = bench.now + S;
-    let response = bench.exchange(None);
-    assert_eq!(response.state.unwrap().main(), MainState::NOT_READY);
-    assert!(response.status.unwrap().has(StatusWord::SWITCH_ON_LOCKED) && !response.status.unwrap().error());
-    assert_eq!(response.error, Some(ErrorCode::NONE));
-    bench.enable();
-    // A level is no edge: bit 7 set before the error does nothing.
-    bench.state(ControlWord(0x00BF));
-    bench.sim.provoke(ErrorCode(0x0003));
-    for _ in 0..10 {
-        assert_eq!(bench.state(ControlWord(0x00BF)).main(), MainState::ERROR);
-    }
-    bench.state(ControlWord::BASE);
-    assert_eq!(bench.state(ControlWord::ACKNOWLEDGE).main(), MainState::NOT_READY);
-}
-
-#[test]
-fn a_fatal_error_outlives_the_software_and_needs_a_restart() {
-    let mut bench = Bench::homed();
-    bench.sim.provoke(ErrorCode(0x0045));
-    bench.until_error();
-    bench.rtc(C::STOP_SOFTWARE, [0; 3]);
-    bench.rtc(C::START_SOFTWARE, [0; 3]);
-    assert_eq!(bench.exchange(None).state, Some(StateVar(0x0445)));
-    bench.state(ControlWord::BASE);
-    assert_eq!(bench.state(ControlWord::ACKNOWLEDGE).main(), MainState::ERROR);
-    assert!(bench.exchange(None).status.unwrap().fatal());
-    bench.control = ControlWord::BASE;
-    // The stored count is 0 and the command has to have 0, so another count has to come between. It restarts once: the
-    // count is 0 again behind it.
-    bench.exchange(Some(MotionCommand::no_operation().block(1)));
-    bench.exchange(Some(MotionCommand::reset_firmware().block(0)));
-    assert_eq!(bench.exchange(Some(MotionCommand::reset_firmware().block(0))).state, Some(StateVar(0)));
-    bench.now = bench.now + BOOT_NS;
-    for _ in 0..10 {
-        bench.exchange(Some(MotionCommand::reset_firmware().block(0)));
-    }
-    bench.enable();
-}
-
-#[test]
 fn homing_takes_the_time_of_its_move_and_waits_for_its_bit() {
     let mut bench = Bench::new(|plan| plan.home_position = 7 * CM);
     bench.enable();

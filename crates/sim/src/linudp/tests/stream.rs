@@ -73,25 +73,6 @@ fn every_command_follows_its_rows_one_and_a_half_periods_late() {
 }
 
 #[test]
-fn a_stream_ends_with_its_command_with_a_profile_and_with_its_state() {
-    for way in 0..3 {
-        let mut bench = Bench::homed();
-        stream_for(&mut bench, StreamCommand::Pv, 2 * MS, 500);
-        let left = match way {
-            0 => bench.command(MotionCommand::stream_end()),
-            1 => bench.command(MotionCommand::vai_stop(Acceleration(100_000))),
-            _ => {
-                bench.control = ControlWord::ABORT;
-                bench.exchange(None)
-            }
-        };
-        assert_eq!(left.status.unwrap().motion_active(), way != 0, "at once only by its command");
-        let stood = bench.until_standing();
-        assert_eq!((stood.demand == left.demand, stood.error), (way == 0, Some(ErrorCode::NONE)), "{way}");
-    }
-}
-
-#[test]
 fn the_first_interval_has_to_fit_the_command() {
     use StreamCommand as C;
     for (command, interval_ns, code) in [

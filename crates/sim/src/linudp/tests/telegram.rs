@@ -2,7 +2,6 @@
 //! master sends are those of the fuzz target `drive`.
 
 use super::*;
-use fieldbeat_linudp::wire::RequestDef;
 
 const OTHER: SocketAddrV4 = SocketAddrV4::new(Ipv4Addr::new(127, 1, 1, 2), MASTER_PORT);
 
@@ -21,27 +20,6 @@ fn a_status_request_is_answered_as_in_the_manual() {
         0x00, 0x00, 0x00, 0x00, 0x00, 0x00, // no current, no warning, no error
     ];
     assert_eq!(reply, golden);
-}
-
-#[test]
-fn what_is_no_telegram_is_not_answered_and_moves_nothing() {
-    let mut bench = Bench::homed();
-    let whole = Request {
-        response_def: ResponseDef::CYCLIC,
-        motion: Some(go_to(CM, VAD).block(5)),
-        config: Some(RtcBlock::default()),
-        ..Request::default()
-    };
-    let mut bytes = [0; 64];
-    let size = whole.emit(&mut bytes);
-    // Control word announced and missing; motion command in front of a config block cut short.
-    for cut in [&[][..], &STATUS[..7], &[1, 0, 0, 0, 0x7F, 0, 0, 0], &bytes[..size - 7]] {
-        assert_eq!(bench.raw(MASTER, cut), None, "{cut:02X?}");
-    }
-    assert_eq!(bench.sim.ignored(), Ignored { malformed: 4, ..Ignored::default() });
-    let response = bench.exchange(None);
-    assert_eq!(response.state.unwrap().count(), Some(0));
-    assert!(!response.status.unwrap().motion_active());
 }
 
 #[test]
@@ -84,36 +62,6 @@ fn a_master_has_the_masters_port_and_is_any_the_first_or_the_fixed_one() {
     let mut bench = Bench::new(|plan| plan.filter = MasterFilter::Fixed(*OTHER.ip()));
     assert_eq!(bench.raw(MASTER, &STATUS), None);
     assert!(bench.raw(OTHER, &STATUS).is_some());
-}
-
-#[test]
-fn short_answers_are_padded_with_what_is_left_of_earlier_ones() {
-    for (padding, expected) in [(0, 10), (14, 14), (64, 64), (1_000, 64)] {
-        let mut bench = Bench::new(|plan| plan.padding = padding);
-        // A long answer first: its bytes are what the padding shows.
-        let long = bench.raw(MASTER, &[0, 0, 0, 0, 0xFF, 0, 0, 0]).unwrap();
-        assert_eq!(long.len(), 42_usize.max(expected));
-        let short = bench.raw(MASTER, &[0, 0, 0, 0, 1, 0, 0, 0]).unwrap();
-        assert_eq!(short.len(), expected);
-        assert_eq!(short[10..], long[10..expected]);
-        assert_eq!(padding == 0, short[10..].iter().all(|byte| *byte == 0));
-        // The master's parser does not see it.
-        let response = Response::parse(&short).unwrap();
-        assert!(response.status.is_some() && response.state.is_none() && response.config.is_none());
-    }
-}
-
-#[test]
-fn the_config_block_is_there_if_the_request_had_one() {
-    let mut bench = Bench::new(|_| {});
-    // Not because of response bit 8.
-    let without = Request { response_def: ResponseDef(0x1FF), ..Request::default() };
-    assert_eq!(bench.ask(&without).config, None);
-    let nothing = RtcBlock::command(4, C::NO_OPERATION);
-    let with = Request { response_def: ResponseDef(1), config: Some(nothing), ..Request::default() };
-    let response = bench.ask(&with);
-    assert_eq!(response.request_def, RequestDef::CONFIG);
-    assert_eq!(response.config, Some(RtcBlock::answer(4, RtcStatus::DONE)));
 }
 
 #[test]

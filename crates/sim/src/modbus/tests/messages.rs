@@ -21,13 +21,6 @@ fn hex(text: &str) -> Vec<u8> {
     digits.chunks(2).map(|pair| pair[0] << 4 | pair[1]).collect()
 }
 
-/// What a well-formed message gets back, without its header.
-fn answer(bench: &mut Bench, pdu: &[u8]) -> Vec<u8> {
-    let mut adu = vec![0, 7, 0, 0, 0, pdu.len() as u8 + 1, DRIVE_UNIT];
-    adu.extend_from_slice(pdu);
-    bench.raw(&adu).get(7..).unwrap_or_default().to_vec()
-}
-
 #[test]
 fn the_block_of_the_m701_manual_is_written_and_read_back() {
     let mut bench = Bench::new(|_| {});
@@ -43,63 +36,6 @@ fn function_23_of_the_si_ethernet_guide_reads_three_other_parameters() {
     let reply = bench.raw(&hex(GUIDE_READ_WRITE));
     assert_eq!(reply, hex("002A 0000 000F FF17 0C 00000001 FFFFFFFE 7FFFFFFF"));
     assert_eq!(bench.read_block(APPLICATION), [12_345, 12_345, 12_345]);
-}
-
-#[test]
-fn other_functions_get_exception_01() {
-    let mut bench = Bench::new(|_| {});
-    assert_eq!(answer(&mut bench, &[4, 0x00, 0x78, 0, 1]), [0x84, 1]);
-    for function in (1..0x80).filter(|function| ![3, 6, 16, 23].contains(function)) {
-        assert_eq!(answer(&mut bench, &[function, 0, 0, 0, 1]), [0x80 | function, 1]);
-    }
-    // Already an exception: it stays one, and is one all the same.
-    assert_eq!(answer(&mut bench, &[0x83, 2]), [0x83, 1]);
-}
-
-#[test]
-fn wrong_counts_and_reserved_addresses_are_exception_02_in_every_direction() {
-    let mut bench = Bench::new(|settings| settings.interface.holes = Holes::Zero);
-    for (address, counts, exception) in [
-        (0x47E4, &[REGISTERS_MAX][..], None),
-        // None, half a parameter, too many.
-        (0x47E4, &[0, 1, 3, 5, 121, 122, 125, u16::MAX], ADDRESS),
-        (0x8000, &[2], ADDRESS),
-        (0xC078, &[2], ADDRESS),
-        (0xFFFF, &[2], ADDRESS),
-        (0x3FFF, &[2], ADDRESS),
-        // The last menu, and what would run out of the addresses.
-        (0x7FAA, &[2], None),
-        (0x7FAA, &[4], ADDRESS),
-        (0x3FAA, &[2], ADDRESS),
-    ] {
-        for count in counts {
-            let read = Request::Read { address, count: *count };
-            assert_eq!(bench.exception(&read), exception, "{address:04X}h, {count}");
-        }
-    }
-    assert_eq!(answer(&mut bench, &[3, 0x47, 0xE4, 0, 121]), [0x83, 2]);
-    let bytes = [1; 242];
-    let data = |length| Registers::new(&bytes[..length]).unwrap();
-    let write = 0x47E4;
-    for request in [
-        Request::Write { address: write, data: data(242) },
-        Request::Write { address: write, data: data(6) },
-        Request::Write { address: write, data: data(0) },
-        Request::ReadWrite { read: write, count: 2, write, data: data(242) },
-        // Nothing is written even if only the reading is wrong.
-        Request::ReadWrite { read: write, count: 0, write, data: data(4) },
-        Request::ReadWrite { read: write, count: 3, write, data: data(4) },
-        Request::ReadWrite { read: write, count: 121, write, data: data(4) },
-        Request::ReadWrite { read: 0x8000, count: 2, write, data: data(4) },
-    ] {
-        assert_eq!(bench.exception(&request), ADDRESS, "{request:?}");
-    }
-    assert_eq!(bench.read(APPLICATION), 0);
-    // A server may take fewer than the drive.
-    let mut bench = Bench::new(|settings| settings.interface.registers = 6);
-    for (count, exception) in [(6, None), (8, ADDRESS)] {
-        assert_eq!(bench.exception(&Request::Read { address: 0x47E4, count }), exception, "{count}");
-    }
 }
 
 #[test]
@@ -142,59 +78,6 @@ fn function_6_takes_16_bits_and_no_32_bit_address() {
 }
 
 #[test]
-fn function_16_stops_at_a_value_out_of_range_and_counts_what_it_has_written() {
-    let mut bench = Bench::new(|_| {});
-    let preset = Parameter::REFERENCE;
-    assert_eq!(bench.write_block(preset, &[100, 200, 9_999_999, 400]), 4);
-    assert_eq!(bench.read_block(preset), [100, 200, 0, 0]);
-    assert_eq!(bench.write_block(preset, &[9_999_999]), 0);
-}
-
-#[test]
-fn a_read_only_parameter_is_refused_as_a_value_out_of_range_is() {
-    let mut bench = Bench::new(|_| {});
-    assert!(!bench.try_write(Parameter::SPEED, 100));
-    assert!(!bench.try_write(Parameter::STATUS_WORD, 0));
-    assert!(!bench.try_write(Parameter::FIRMWARE, 1));
-    // 16 bits count registers, one each: 06.041 does not exist, 06.042 and 06.043 do.
-    let data = Registers::new(&[0x01, 0x80, 0, 2]).unwrap();
-    let block = Request::Write { address: 0x0281, data };
-    bench.ask(DRIVE_UNIT, &block, |response| {
-        assert_eq!(response, Response::Written { address: 0x0281, count: 1 })
-    });
-}
-
-#[test]
-fn functions_6_and_23_say_nothing_of_what_they_did_not_write() {
-    let mut bench = Bench::new(|_| {});
-    bench.write(Parameter::REFERENCE, 700);
-    let data = longs(&[100, 9_999_999, 300]);
-    let address = bench.address(Parameter::REFERENCE, Width::Long);
-    let both = Request::ReadWrite { read: address, count: 6, write: address, data: data.registers() };
-    bench.ask(DRIVE_UNIT, &both, |response| {
-        let Response::ReadWritten { data } = response else { panic!("{response:?}") };
-        assert_eq!([0, 1, 2].map(|index| data.long(index)), [Some(100), Some(0), Some(0)]);
-    });
-    let one = Request::WriteOne { address: 0x0282, value: 2 };
-    bench.ask(DRIVE_UNIT, &one, |response| {
-        assert_eq!(response, Response::WriteOne { address: 0x0282, value: 2 })
-    });
-    assert_eq!(bench.read(Parameter::CONTROL_WORD_ENABLE), 0);
-}
-
-#[test]
-fn a_16_bit_read_shows_the_low_bits_and_a_32_bit_read_the_sign() {
-    let mut bench = Bench::new(|_| {});
-    bench.write(APPLICATION, 0x1234_5678);
-    bench.write(parameter("20.001"), -5);
-    bench.ask(DRIVE_UNIT, &Request::Read { address: 0x07E4, count: 1 }, |response| {
-        let Response::Read { data } = response else { panic!("{response:?}") };
-        assert_eq!(data.word(0), Some(0x5678));
-    });
-    assert_eq!(bench.read(parameter("20.001")), -5);
-}
-
-#[test]
 fn units_are_the_drive_its_interface_or_nobody() {
     let mut bench = Bench::new(|_| {});
     let (version, timeout) = (0x4468, 0x4000 + 15 * 100 + 8);
@@ -215,23 +98,6 @@ fn units_are_the_drive_its_interface_or_nobody() {
             });
             assert_eq!(found, is_there, "unit {unit}, {address:04X}h");
         }
-    }
-}
-
-#[test]
-fn a_foreign_unit_may_be_met_with_silence_and_unit_0_be_answered_by_255() {
-    let mut bench = Bench::new(|settings| {
-        settings.interface.refuses_units = false;
-        settings.interface.answers_as_255 = true;
-    });
-    let read = Request::Read { address: 0x4468, count: 2 };
-    let foreign = bench.request(7, &read);
-    assert!(bench.raw(&foreign).is_empty());
-    assert!(!bench.sim.hangs_up(MASTER));
-    for unit in [0, 255] {
-        let request = bench.request(unit, &read);
-        let reply = bench.raw(&request);
-        assert_eq!(Header::parse(&reply), Some(Header { transaction: bench.transaction, unit: 255 }));
     }
 }
 

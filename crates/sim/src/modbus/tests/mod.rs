@@ -12,9 +12,7 @@ use std::net::{Ipv4Addr, SocketAddrV4};
 use super::*;
 use fieldbeat_core::time::{MS, S};
 use fieldbeat_modbus::parameter::{Addressing, DRIVE_UNIT, Parameter, Width};
-use fieldbeat_modbus::wire::{
-    ADU_MAX, ExceptionCode, Header, REGISTERS_MAX, Registers, RegistersBuffer, Request, Response, function,
-};
+use fieldbeat_modbus::wire::{ADU_MAX, ExceptionCode, Header, RegistersBuffer, Request, Response, function};
 use fieldbeat_modbus::words::{ControlWord as C, StatusWord as W};
 
 const MASTER: SocketAddrV4 = SocketAddrV4::new(Ipv4Addr::new(10, 0, 0, 1), 40_000);

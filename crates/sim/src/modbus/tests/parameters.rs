@@ -23,65 +23,6 @@ fn menu_0_shows_what_menu_22_says_and_is_written_through() {
 }
 
 #[test]
-fn one_function_23_carries_the_whole_process_image_by_menu_0() {
-    let mut bench = Bench::idle();
-    bench.write_block(SETUP, &[6_042, 1_021]);
-    bench.write_block(parameter("22.011"), &[10_040, 3_002]);
-    let data = longs(&[C::FORWARD.0.into(), 6_000]);
-    for _ in 0..500 {
-        let cycle = Request::ReadWrite { read: 0x400A, count: 4, write: 0x4000, data: data.registers() };
-        bench.ask(DRIVE_UNIT, &cycle, |response| assert!(matches!(response, Response::ReadWritten { .. })));
-        bench.wait(MS);
-    }
-    let [status, speed] = bench.read_block(Parameter::new(0, 11));
-    assert!(W(status as u16).at_speed());
-    assert_eq!(speed, 6_000);
-}
-
-#[test]
-fn what_menu_0_shows_of_nothing_is_a_hole_and_all_of_it_without_the_mapping() {
-    for (menu_zero, setups) in [(true, &[0, 7, 6_041, 1_999, 59_999][..]), (false, &[1_007, 6_042])] {
-        let mut bench = Bench::new(|settings| settings.interface.menu_zero = menu_zero);
-        let address = bench.address(MENU_ZERO, Width::Long);
-        for setup in setups {
-            bench.write(SETUP, *setup);
-            let read = bench.exception(&Request::Read { address, count: 2 });
-            assert_eq!(read, Some(ExceptionCode::ADDRESS), "{setup}");
-        }
-        assert!(!bench.try_write(SETUP, 60_000));
-    }
-}
-
-#[test]
-fn a_restart_forgets_what_was_not_saved() {
-    for (order, by_trip, survives) in
-        [(None, true, false), (Some(1000), true, true), (Some(1001), false, true), (Some(999), true, false)]
-    {
-        let mut bench = Bench::new(|_| {});
-        bench.write(RAMP, 3_000);
-        bench.write(SETUP, 6_042);
-        bench.write(Parameter::CONTROL_WORD_ENABLE, 1);
-        bench.write(Parameter::CONTROL_WORD, 0x0181);
-        if let Some(order) = order {
-            bench.write(parameter("02.000"), order);
-            assert_eq!(bench.read(parameter("02.000")), order);
-            if by_trip {
-                bench.write(USER_TRIP, 100);
-            } else {
-                bench.write(RESET, 1);
-            }
-            assert_eq!(bench.read(parameter("02.000")), 0);
-        }
-        bench.restart();
-        let expected = if survives { (3_000, 6_042, 1) } else { (200, 1_007, 0) };
-        let got = (bench.read(RAMP), bench.read(SETUP), bench.read(Parameter::CONTROL_WORD_ENABLE));
-        assert_eq!(got, expected, "{order:?}");
-        // The control word never survives.
-        assert_eq!((bench.read(Parameter::CONTROL_WORD), bench.status().active()), (0, false));
-    }
-}
-
-#[test]
 fn what_was_commissioned_is_in_range_and_can_be_made_what_it_was_when_the_drive_was_delivered() {
     let mut bench = Bench::new(|settings| {
         settings.commissioned = vec![(RAMP, 3_000), (SETUP, 6_042), (Parameter::REFERENCE, i32::MAX)];
@@ -106,13 +47,4 @@ fn a_new_addressing_mode_counts_from_the_next_start_on() {
     bench.restart();
     bench.addressing = Addressing::Modified;
     assert_eq!(bench.read(Parameter::FIRMWARE), 1_220_010);
-}
-
-#[test]
-fn every_parameter_of_the_catalogue_can_be_read_and_is_within_its_range() {
-    let mut bench = Bench::new(|_| {});
-    for known in fieldbeat_modbus::parameter::catalogue::all() {
-        let value = bench.read(known.parameter).into();
-        assert!((known.min..=known.max).contains(&value), "{} = {value}", known.parameter);
-    }
 }

@@ -63,24 +63,6 @@ fn the_telegrams_of_the_sheet_are_answered_as_the_sheet_has_it() {
 }
 
 #[test]
-fn an_answer_comes_at_once_or_after_so_many_polls() {
-    for delay in [0, 1, 5] {
-        let mut bench = bench(|settings| settings.delay = delay);
-        let mut polls = 0;
-        let mut answer = bench.srd(SAPS, &[0x5E, 0, 47, 240]).unwrap();
-        while answer.0 == 0xE5 {
-            polls += 1;
-            // The cycle goes on meanwhile.
-            bench.words(0, 0);
-            answer = bench.srd(SAPS, &[]).unwrap();
-        }
-        assert_eq!((answer, polls), ((8, vec![0xDE, 0x80, 0xB5, 0]), delay));
-        assert_eq!(bench.srd(SAPS, &[]), Some((0xE5, vec![])), "nothing is left");
-        assert_eq!(bench.slave().misuse(), Misuse::default());
-    }
-}
-
-#[test]
 fn a_request_into_another_one_finds_no_resource_or_a_busy_drive() {
     let mut bench = bench(|settings| settings.busy_ns = 50 * MS);
     let write = hex("5F 00 2F 0A 01 01 00 01 10 00 5F C2 00 00");
@@ -98,39 +80,6 @@ fn a_request_into_another_one_finds_no_resource_or_a_busy_drive() {
     assert_eq!(ask(&mut bench, &[0x5E, 0, 47, 10])[..4], [0x5E, 0, 47, 10]);
     assert_eq!(ask(&mut bench, &[0x5E, 0, 47, 240]), [0xDE, 0x80, 0xB5, 0], "it is read");
     assert_eq!(ask(&mut bench, &write), write[..4]);
-}
-
-#[test]
-fn wrong_slots_indexes_lengths_and_functions_have_their_codes() {
-    let mut bench = bench(|_| ());
-    for (data, answer) in [
-        (&[0x5E, 1, 47, 240][..], [0xDE, 0x80, 0xB2, 0]),
-        (&[0x5E, 0, 46, 240], [0xDE, 0x80, 0xB0, 0]),
-        (&[0x5F, 0, 47, 3, 1, 2], [0xDF, 0x80, 0xB1, 0]),
-        (&[0x5E, 0, 47, 241], [0xDE, 0x80, 0xB1, 0]),
-        (&[0x5E, 0, 47], [0xDE, 0x80, 0xB1, 0]),
-        (&[0x51, 0, 47, 0], [0xD1, 0x80, 0xA9, 0]),
-    ] {
-        assert_eq!(ask(&mut bench, data), answer, "{data:02X?}");
-    }
-    assert_eq!(bench.slave().misuse(), Misuse { acyclic: 4, ..Misuse::default() });
-}
-
-#[test]
-fn it_needs_dpv1_data_exchange_and_the_own_master() {
-    let mut bench = Bench::with(|_| ());
-    let inactive = Some((3, vec![]));
-    assert_eq!(bench.srd(SAPS, &[]), inactive);
-    let mut prm = PRM;
-    prm[7] = 0;
-    bench.configured(&prm, &[0xF3, 0xF1]);
-    assert_eq!(bench.exchange(&[0; 12]).0, 8);
-    assert_eq!(bench.srd(SAPS, &[]), inactive);
-    bench.set_prm(&PRM);
-    assert_eq!(bench.srd(SAPS, &[]), Some((0xE5, vec![])));
-    bench.master((3, None));
-    assert_eq!(bench.srd(SAPS, &[]), inactive);
-    assert_eq!(bench.slave().misuse(), Misuse { state: 3, ..Misuse::default() });
 }
 
 #[test]

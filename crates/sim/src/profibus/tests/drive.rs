@@ -16,30 +16,6 @@ fn profidrive() -> Bench {
 }
 
 #[test]
-fn drivecom_takes_one_state_at_a_time() {
-    let mut bench = up(|_| ());
-    // Not behind "switch on" in one step.
-    let words = [
-        0x0F, 0x07, 0x06, 0x0F, 0x07, 0x06, 0x07, 0x0F, 0x07, 0x0F, 0x06, 0x07, 0x02, 0x06, 0x04, 0x06, 0x07,
-        0x0F,
-    ];
-    let states = [
-        0x40, 0x40, 0x21, 0x21, 0x23, 0x21, 0x23, 0x27, 0x23, 0x27, 0x21, 0x23, 0x40, 0x21, 0x40, 0x21, 0x23,
-        0x27,
-    ];
-    for (k, (word, state)) in words.into_iter().zip(states).enumerate() {
-        let mask = if state == 0x40 { 0x4F } else { STATES };
-        assert_eq!(bench.words(word, 0).0 & mask, state, "{k}: {word:X}");
-    }
-    // At rest a quick stop is over at once.
-    bench.hold(2 * MS, 0x02, 0);
-    assert_eq!(bench.slave().axis_state(), State::SwitchOnDisabled);
-    assert_eq!(bench.slave().misuse(), Misuse::default());
-    bench.words(0x0700, 0);
-    assert_eq!(bench.slave().misuse().control_word, 1);
-}
-
-#[test]
 fn stops_take_their_ramps_and_coasting_takes_the_friction() {
     for (word, after_50ms, end) in [
         // C0105: 100 ms from 1500 rpm, 750 rpm are gone in 50.
@@ -128,26 +104,6 @@ fn a_fault_stays_until_a_rising_edge_resets_it() {
     assert_eq!((bench.words(0x80, 0).0 & 0x4F, bench.words(0x80, 0).0 & 0x4F), (8, 8));
     bench.words(0, 0);
     assert_eq!(bench.words(0x80, 0).0 & 0x4F, 0x40);
-}
-
-#[test]
-fn set_point_and_actual_value_are_shares_of_c0011() {
-    for (full_count, full_rpm, set_point, rpm) in [
-        (0x4000, 1_500.0, 0x4000, 1_500.0),
-        (24_000, 14_400.0 / 4.8, -12_000, -1_500.0),
-        (0x4000, 1_000.0, 0x7000, 1_000.0),
-    ] {
-        let mut bench = up(|settings| {
-            (settings.motor.full_count, settings.motor.full_rpm) = (full_count, full_rpm);
-        });
-        bench.enable();
-        let (status, actual) = bench.hold(700 * MS, 0x7F, set_point);
-        assert_eq!(status & STATES | status & 0x0600, 0x0627, "{status:04X}");
-        assert!((bench.rpm() - rpm).abs() < 1.0, "{}", bench.rpm());
-        let expected = (rpm / full_rpm * f64::from(full_count)).round();
-        assert!((f64::from(actual) - expected).abs() < 20.0, "{actual}");
-        assert_eq!(status & 0x0800 != 0, set_point == 0x7000, "limited");
-    }
 }
 
 #[test]

@@ -71,48 +71,6 @@ fn damaged_telegrams_are_ignored_each_with_its_count() {
 }
 
 #[test]
-fn one_character_of_silence_inside_is_allowed_and_more_is_not() {
-    for rate in RATES {
-        let mut bench = Bench::at(rate, LenzeSettings::new(SLAVE));
-        let line = bench.line;
-        for (gap_ns, answer) in [(line.span_ns(1), Some(ALIVE.to_vec())), (line.span_ns(1) + 1, None)] {
-            bench.wait(line.bits_ns(1_000));
-            bench.put(&STATUS[..4]);
-            bench.wait(gap_ns);
-            bench.put(&STATUS[4..]);
-            assert_eq!(bench.take(line.bits_ns(100)).map(|reply| reply.bytes), answer, "{rate}");
-        }
-        assert_eq!(bench.slave().broken().gap, 1);
-    }
-}
-
-#[test]
-fn an_answer_waits_for_the_time_that_is_parametrised_or_set_up() {
-    for rate in RATES {
-        let most = LinkSettings::default().max_tsdr(rate).into();
-        for (answer_bits, min, expected) in [
-            (None, 11, 11),
-            (None, 0, 11),
-            (None, 60, 60),
-            (Some(40), 11, 40),
-            (Some(20), 40, 40),
-            (Some(5_000), 11, most),
-        ] {
-            let link = LinkSettings { answer_bits, ..LinkSettings::default() };
-            let mut bench = Bench::at(rate, LenzeSettings { link, ..LenzeSettings::new(SLAVE) });
-            let line = bench.line;
-            let mut prm = PRM;
-            prm[3] = min;
-            bench.set_prm(&prm);
-            bench.wait(line.bits_ns(33));
-            bench.put(&STATUS);
-            let after = bench.take(line.bits_ns(1_000)).unwrap().after;
-            assert!(line.bits_ns(expected).abs_diff(after) <= 1, "{rate} {answer_bits:?} {min}: {after}");
-        }
-    }
-}
-
-#[test]
 fn a_repeated_frame_count_bit_is_answered_from_memory_and_its_data_are_ignored() {
     let mut bench = Bench::with(|_| ());
     bench.up();
@@ -141,32 +99,6 @@ fn a_repeated_frame_count_bit_is_answered_from_memory_and_its_data_are_ignored()
     bench.words(0x7F, 0x2000);
     bench.hold(300 * MS, 0x7F, 0x2000);
     assert!((bench.rpm() - 750.0).abs() < 1.0);
-}
-
-#[test]
-fn a_first_request_starts_over_and_each_master_has_its_own_memory() {
-    let mut bench = Bench::with(|_| ());
-    let mut diagnosis = |master, function| {
-        bench.master = master;
-        let frame = bench.frame(Some((60, 62)), function, &[]);
-        let answered = bench.ask(&frame).is_some();
-        (answered, bench.slave().repeated(), bench.slave().misuse())
-    };
-    let retry = Misuse { changed_retry: 1, ..Misuse::default() };
-    for (master, function, expected) in [
-        (MASTER, 0x6D, (true, 0, Misuse::default())),
-        (MASTER, 0x6D, (true, 0, Misuse::default())),
-        // Behind a first one, with the bit set, the next has it clear.
-        (MASTER, 0x7D, (true, 1, retry)),
-        (MASTER, 0x5D, (true, 1, retry)),
-        // Another pair of stations.
-        (3, 0x5D, (true, 1, retry)),
-        (3, 0x5D, (true, 2, retry)),
-        // No bit at all.
-        (3, 0x4D, (false, 2, Misuse { frame_count: 1, ..retry })),
-    ] {
-        assert_eq!(diagnosis(master, function), expected, "{master} {function:X}");
-    }
 }
 
 #[test]

@@ -12,7 +12,7 @@ use std::any::Any;
 
 use super::*;
 use crate::serial::Medium;
-use fieldbeat_core::time::{MS, US};
+use fieldbeat_core::time::MS;
 use fieldbeat_profibus::RATES;
 
 const MASTER: u8 = 2;
@@ -214,11 +214,6 @@ impl Bench {
         self.configured(&PRM, &[0xF3, 0xF1]);
         assert_eq!(self.diagnose()[3], self.master);
         assert_eq!(self.slave().events().parametrised, parametrised);
-    }
-
-    fn truth_state(&mut self) -> (DpState, State) {
-        self.rpm();
-        (self.slave().dp_state().0, self.slave().axis_state())
     }
 
     /// An exchange of the two words, without a job: status word and actual value.

@@ -126,37 +126,6 @@ fn another_master_is_locked_out_until_the_first_one_unlocks() {
 }
 
 #[test]
-fn the_watchdog_ends_data_exchange_at_its_time_and_the_drive_coasts() {
-    // 1 x 10 x 10 ms; 2 x 15 x 1 ms.
-    for (prm, timeout) in [(PRM, 100 * MS), ([0x88, 2, 15, 11, 0, 0x82, 0, 0x84, 0, 0], 30 * MS)] {
-        let mut bench = with_prm(&prm);
-        bench.enable();
-        bench.hold(300 * MS, 0x7F, 0x1000);
-        bench.words(0x7F, 0x1000);
-        // The last request ended before its answer: 11 bits and 23 characters, and 33 bits.
-        let since = bench.line.bits_ns(11 + 33) + bench.line.span_ns(21);
-        bench.wait(timeout - since - 2 * US);
-        assert_eq!(bench.truth_state(), (DpState::DataExchange, State::OperationEnabled), "{timeout}");
-        bench.wait(4 * US);
-        assert_eq!(bench.truth_state(), (DpState::WaitPrm, State::SwitchOnDisabled), "{timeout}");
-        assert_eq!(bench.slave().events().watchdogs, 1);
-        let coasting = bench.rpm();
-        assert!((370.0..380.0).contains(&coasting), "{coasting}");
-        bench.wait(2_000 * MS);
-        assert_eq!(bench.rpm(), 0.0);
-        assert_eq!(bench.diagnose(), [2, 5, 0, 255, 0, 0x82]);
-        assert_eq!((bench.exchange(&[0; 12]).0, bench.slave().misuse()), (3, Misuse::default()));
-    }
-    // Without one it runs on for ever.
-    let mut bench = with_prm(&[0x80, 0, 0, 11, 0, 0x82, 0, 0x80, 0, 0]);
-    bench.enable();
-    bench.words(0x7F, 0x1000);
-    bench.wait(100_000 * MS);
-    assert!((bench.rpm() - 375.0).abs() < 1.0);
-    assert_eq!(bench.diagnose()[1], 4, "not on");
-}
-
-#[test]
 fn each_telegram_of_its_own_master_feeds_the_watchdog_and_no_other() {
     let mut bench = with_prm(&PRM);
     for _ in 0..10 {

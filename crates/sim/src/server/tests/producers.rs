@@ -2,7 +2,6 @@
 
 use super::*;
 use crate::testing::Producer;
-use fieldbeat_core::net::{Carriers, Os, SendMode, UdpOptions};
 
 /// As `address`, of these tests only.
 fn ip(x: u8, host: u8) -> Ipv4Addr {
@@ -80,37 +79,6 @@ fn one_that_is_not_fed_is_silent_and_ends_its_connection_by_itself() {
     let stats = server.stop();
     let sent = stats.iter().find(|stats| stats.address == Producer::packets(ip(24, 10))).unwrap();
     assert!((1..=Producer::WATCHDOG_NS / Producer::EVERY_NS + 1).contains(&sent.answered), "{sent:?}");
-}
-
-#[test]
-fn packets_to_a_group_leave_by_the_interface_of_the_drive() {
-    let group = SocketAddrV4::new(Ipv4Addr::new(239, 72, 21, 1), 2_222);
-    let _server = start(Producer::new(ip(21, 10)).to(group));
-    let (packets, mut stream) = master(21);
-    drop(packets);
-    let options = UdpOptions { peers: 1, waiting: 0, room: 16, send: SendMode::Batch, dscp: 0, groups: 1 };
-    let mut net = Os::default().datagrams(Producer::packets(ip(21, 1)), &options).unwrap();
-    net.groups().unwrap().join(group).unwrap();
-    stream.write_all(b"O").unwrap();
-    let mut counts = Vec::new();
-    until("ten packets", || {
-        net.receive(&mut |received| {
-            assert_eq!(received.from, Producer::packets(ip(21, 10)));
-            counts.push(received.bytes[0]);
-        })
-        .unwrap();
-        counts.len() >= 10
-    });
-    assert!(counts.windows(2).all(|pair| pair[0] < pair[1]), "{counts:?}");
-}
-
-#[test]
-fn an_address_of_two_drives_is_refused_whichever_socket_it_is() {
-    let twice = || Box::new(Producer::new(ip(22, 10))) as Box<dyn SimDrive>;
-    let error = SimServer::start(vec![twice(), twice()], ServerOptions::default()).unwrap_err();
-    assert_eq!(error.kind(), io::ErrorKind::AddrInUse);
-    drop(start(Producer::new(ip(22, 10))));
-    drop(start(Producer::new(ip(22, 10))));
 }
 
 #[test]

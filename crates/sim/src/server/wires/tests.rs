@@ -76,18 +76,6 @@ fn a_local_wire_answers_and_counts() {
 }
 
 #[test]
-fn a_local_wire_echoes_if_it_is_to() {
-    let port = name("echoes");
-    let server = serve(SerialWire { echo: true, ..wire(&port) }).unwrap();
-    let mut master = open(&port);
-    for value in 0..20 {
-        assert_eq!(exchange(&mut *master, 7, value).unwrap(), Slave::request(7, value));
-        assert_eq!(answer(&mut *master).unwrap(), [135, value, value + 1]);
-    }
-    drop(server);
-}
-
-#[test]
 fn a_local_wire_comes_and_goes_and_has_one_master() {
     let port = name("comes");
     let mut master = Os::default().serial(&port, &Slave::LINE).unwrap();

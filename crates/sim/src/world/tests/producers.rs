@@ -4,7 +4,6 @@ use super::*;
 use crate::testing::Producer;
 use fieldbeat_core::net::{Handshake, HandshakeState};
 
-const LATENCY: u64 = 20 * US;
 const MASTER: Ipv4Addr = Ipv4Addr::new(10, 0, 3, 1);
 const DRIVE: Ipv4Addr = Ipv4Addr::new(10, 0, 3, 7);
 const GROUP: SocketAddrV4 = SocketAddrV4::new(Ipv4Addr::new(239, 192, 1, 64), 2_222);
@@ -102,72 +101,6 @@ impl Rig {
 }
 
 #[test]
-fn a_drive_speaks_by_its_own_clock_from_its_own_socket() {
-    let mut rig = Rig::new(Producer::new(DRIVE));
-    let begin = rig.world.now();
-    rig.post(b'O');
-    let mut instants = Vec::new();
-    while instants.len() < 5 {
-        assert!(rig.world.clock().wait(&mut PollSet::default(), begin + S));
-        let expected = (Producer::packets(DRIVE), instants.len() as u8 + 1);
-        assert_eq!(rig.take(), [expected], "nothing came from elsewhere");
-        instants.push(rig.world.now().since(begin));
-    }
-    let first = 2 * LATENCY;
-    assert_eq!(instants, [0, 1, 2, 3, 4].map(|k| first + k * Producer::EVERY_NS));
-    assert_eq!(rig.session.with(|log| log.got.clone()), b"o");
-    // Fed, it goes on; nothing is answered.
-    for _ in 0..100 {
-        rig.feed();
-        rig.world.advance(MS);
-    }
-    assert_eq!(rig.take().len(), 64, "one batch");
-    assert_eq!(rig.take().len(), 100 - 64);
-    rig.post(b'C');
-    rig.world.advance(MS);
-    rig.take();
-    rig.world.advance(S);
-    assert_eq!(
-        (rig.take(), rig.session.with(|log| (log.got.clone(), log.closed.len()))),
-        (vec![], (b"oc".to_vec(), 0))
-    );
-}
-
-#[test]
-fn a_drive_whose_owner_is_silent_stops_and_ends_its_connection_by_itself() {
-    let rig = Rig::new(Producer::new(DRIVE));
-    rig.post(b'O');
-    rig.world.advance(Producer::WATCHDOG_NS + 3 * LATENCY);
-    let log = rig.session.with(|log| (log.opened, log.closed.clone()));
-    assert_eq!(log, (1, vec!["10.0.3.7:44818 has ended the connection".to_owned()]));
-    assert!(rig.sessions.notes().get(0).is_some());
-    rig.world.advance(S);
-    assert_eq!((rig.session.with(|log| log.opened), rig.sessions.notes().get(0)), (2, None));
-}
-
-#[test]
-fn an_unknown_sender_feeds_nobody_and_each_socket_knows_its_own() {
-    let mut rig = Rig::new(Producer::new(DRIVE));
-    rig.post(b'O');
-    rig.world.advance(10 * MS);
-    let unknown = Producer::packets(Ipv4Addr::new(10, 0, 3, 99));
-    for k in 0..100 {
-        rig.world.inject(Producer::packets(DRIVE), unknown, &[1], rig.world.now() + k * MS);
-    }
-    rig.world.advance(100 * MS);
-    assert_eq!(rig.session.with(|log| log.closed.len()), 1);
-    rig.take();
-    // Datagrams to the address of the stream come to the socket of that kind.
-    rig.outbox.set_peer(0, Producer::stream(DRIVE));
-    rig.outbox.room(0)[0] = 77;
-    rig.outbox.set_length(0, 1);
-    rig.outbox.post(0, true);
-    rig.net.send(&mut rig.outbox);
-    rig.world.advance(MS);
-    assert!(rig.take().contains(&(Producer::stream(DRIVE), 77)));
-}
-
-#[test]
 fn packets_to_a_group_come_to_those_who_joined_it() {
     let mut rig = Rig::new(Producer::new(DRIVE).to(GROUP));
     let groups = rig.net.groups().unwrap();
@@ -181,30 +114,6 @@ fn packets_to_a_group_come_to_those_who_joined_it() {
     groups.leave(GROUP);
     rig.world.advance(10 * MS);
     assert_eq!(rig.take(), []);
-}
-
-#[test]
-fn faults_and_the_plug_hit_every_socket_of_a_drive() {
-    let mut rig = Rig::new(Producer::new(DRIVE));
-    rig.post(b'O');
-    rig.world.advance(5 * MS);
-    assert!(rig.world.set_faults(Producer::packets(DRIVE), FaultPlan { drop: 1.0, ..FaultPlan::default() }));
-    rig.take();
-    rig.feed();
-    rig.world.advance(10 * MS);
-    assert_eq!(rig.take(), []);
-    let injected = |address| rig.world.injected(address).unwrap().dropped;
-    assert_eq!(injected(Producer::packets(DRIVE)), 11, "ten packets and our own one");
-    assert!(rig.world.set_faults(Producer::packets(DRIVE), FaultPlan::default()));
-    assert!(rig.world.unplug(Producer::packets(DRIVE)));
-    rig.world.advance(10 * MS);
-    assert_eq!(rig.take(), []);
-    assert!(rig.world.plug(Producer::stream(DRIVE)));
-    rig.world.advance(5 * MS);
-    assert_eq!(rig.take().len(), 5);
-    assert!(rig.world.restart(Producer::packets(DRIVE)));
-    rig.world.advance(5 * MS);
-    assert_eq!((rig.take(), rig.session.with(|log| log.closed.len())), (vec![], 1));
 }
 
 #[test]

@@ -5,7 +5,7 @@ use crate::Simulated;
 use crate::serial::tests::wire_at;
 use crate::testing::Slave;
 use crate::world::WorldOptions;
-use fieldbeat_core::net::{Carriers, Parity, Rs485};
+use fieldbeat_core::net::{Carriers, Parity};
 use fieldbeat_core::rt::{Clock, PollSet};
 use fieldbeat_core::time::{MS, S, US};
 
@@ -72,55 +72,6 @@ fn an_exchange_takes_its_bits_and_wakes_the_waiting_at_its_end() {
 }
 
 #[test]
-fn at_12_mbit_s_an_exchange_takes_its_bits_too_and_its_echo() {
-    let line = SerialLine { rate: 12_000_000, ..Slave::LINE };
-    let world = world_of(vec![SerialWire { line, echo: true, ..wire(PORT) }]);
-    // Who switches the direction makes no difference on the wire.
-    let mut port = world.serial(PORT, &SerialLine { rs485: Rs485::Driver, ..line }).unwrap();
-    until_open(&world, &mut *port);
-    let begin = world.now();
-    port.send(0, &Slave::request(7, 5)).unwrap();
-    assert!(world.clock().wait(&mut PollSet::default(), begin + S));
-    // 33 bits of 1000 / 12 ns, twice, and the slave's time.
-    world.advance(2_750 + 22 * US + 2_750 - 1 - world.now().since(begin));
-    assert_eq!(read(&mut *port), [7, 5, !5, 135, 5]);
-    world.advance(1);
-    assert_eq!(read(&mut *port), [1]);
-}
-
-#[test]
-fn a_full_driver_takes_more_as_it_sends_and_nothing_is_lost() {
-    let world = world(&FaultPlan::default());
-    let mut port = open(&world);
-    let bytes: Vec<u8> = (0..5_000_u32).map(|n| (n % 251) as u8).collect();
-    let mut send = |from: usize| port.send(0, &bytes[from..]).unwrap().1;
-    let taken = send(0);
-    // One of them has begun.
-    assert_eq!((taken, send(taken), send(taken + 1)), (4_096, 1, 0));
-    world.advance(100 * BYTE);
-    assert_eq!(send(4_097), 100);
-    world.advance(3_000 * BYTE);
-    assert_eq!((send(4_197), port.unsent()), (803, Ok(5_000 - 3_101)));
-    world.advance(2_000 * BYTE);
-    assert_eq!(world.look_on(PORT, 0, |slave: &mut Slave, _| slave.received == bytes), Some(true));
-}
-
-#[test]
-fn a_port_that_is_not_there_or_taken_is_said_to_be() {
-    let world = world(&FaultPlan::default());
-    let refused = |port| world.serial(port, &Slave::LINE).map(|_| ()).unwrap_err();
-    assert_eq!(
-        refused("/dev/ttyS0").to_string(),
-        "no serial wire at /dev/ttyS0 in this world; there are: /dev/ttyUSB0, /dev/ttyUSB1"
-    );
-    let port = open(&world);
-    assert_eq!(refused(PORT).kind(), io::ErrorKind::AddrInUse);
-    drop(port);
-    open(&world);
-    assert!(!world.unplug_port("x") && !world.plug_port("x") && world.wire_injected("x").is_none());
-}
-
-#[test]
 fn an_adapter_that_is_unplugged_breaks_the_port_and_is_opened_again_with_pauses() {
     let world = world(&FaultPlan::default());
     let mut port = open(&world);
@@ -173,54 +124,4 @@ fn faults_and_settings_of_a_wire_can_be_changed_in_between() {
     port.send(0, &Slave::request(7, 4)).unwrap();
     world.advance(MS);
     assert_eq!(read(&mut *port), [0; 0]);
-}
-
-#[test]
-fn thousands_of_ends_leave_a_wire_that_works_and_no_alarm() {
-    let world = world(&FaultPlan::default());
-    for round in 0..3_000_u64 {
-        let mut port = world.serial(PORT, &Slave::LINE).unwrap();
-        world.advance(round % 7 * 10 * US);
-        if port.opened().is_some() {
-            port.send(0, &Slave::request(7, round as u8)).unwrap();
-            world.advance(round % 11 * 13 * US);
-            if round % 3 == 0 {
-                port.abandon(0, "again");
-            }
-        }
-    }
-    world.advance(S);
-    assert_eq!(world.lock().next_due(), None);
-    let mut port = open(&world);
-    port.send(0, &Slave::request(9, 1)).unwrap();
-    world.advance(MS);
-    assert_eq!(read(&mut *port), [137, 1, 1]);
-}
-
-#[test]
-fn the_same_seed_makes_the_same_bytes() {
-    let stormy = FaultPlan {
-        seed: 5,
-        drop: 0.1,
-        duplicate: 0.1,
-        corrupt: 0.1,
-        delay: 0.1,
-        delay_ns: 3 * MS,
-        reorder: 0.1,
-        restart: 0.01,
-        ..FaultPlan::default()
-    };
-    let run = |faults: &FaultPlan| {
-        let world = world(faults);
-        let mut port = open(&world);
-        let mut got = Vec::new();
-        for number in 0..250 {
-            port.send(0, &Slave::request(7 + number % 2 * 2, number)).unwrap();
-            world.advance(400 * US);
-            got.extend(read(&mut *port));
-        }
-        (world.digest(), world.delivered(), got, world.wire_injected(PORT))
-    };
-    assert_eq!(run(&stormy), run(&stormy));
-    assert_ne!(run(&stormy).0, run(&FaultPlan { seed: 6, ..stormy.clone() }).0);
 }

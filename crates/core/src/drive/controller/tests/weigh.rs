@@ -2,7 +2,6 @@
 
 use super::*;
 use crate::axis::{DriveStatus, StopHow};
-use crate::bus::desired::{Homing, Power};
 
 /// 500 mm/s at most.
 fn limited() -> AxisPlan {
@@ -114,26 +113,6 @@ fn two_reports_of_different_losses_prove_neither() {
     x.reports(|status| status.state = State::SwitchedOn);
     x.reports(|status| (status.state, status.homed) = (State::SwitchedOn, false));
     assert_eq!(x.stopped(), Some(StopCause::DriveDropped));
-}
-
-#[test]
-fn a_suspect_report_neither_proves_a_loss_nor_disproves_it() {
-    let mut x = moving(2);
-    for suspect in [true, true, false, true] {
-        x.reports(|status| (status.state, status.suspect) = (State::Fault, suspect));
-        assert_eq!(x.stopped(), None, "{suspect}");
-    }
-    x.reports(|status| status.state = State::Fault);
-    assert_eq!(x.stopped(), Some(StopCause::DriveFault));
-}
-
-#[test]
-fn what_was_requested_needs_no_more_proof_than_its_command() {
-    let mut x = moving(2);
-    x.slot.desired.power.value = Power::Off;
-    x.reports(|status| status.state = State::SwitchOnDisabled);
-    assert_eq!(x.controller.feedback().status.state, State::SwitchOnDisabled);
-    assert_eq!(x.slot.counters.implausible, 0);
 }
 
 #[test]
@@ -266,37 +245,6 @@ fn an_axis_whose_place_jumps_in_its_stop_or_while_it_is_held_is_stopped_by_its_d
     x.turns(3);
     [340.0, 340.1].into_iter().for_each(|place| x.at(place));
     assert_eq!(x.controller.newest(), Some(Command::Disable));
-}
-
-#[test]
-fn what_changes_the_origin_is_no_jump_nor_what_nobody_has_enabled() {
-    let free = |begin: fn(&mut Alone)| {
-        let mut x = enabled(1);
-        begin(&mut x);
-        x.reported();
-        [340.0, 340.1, 100.0, 100.1].into_iter().for_each(|position| x.at(position));
-        (x.stopped(), x.slot.counters.implausible)
-    };
-    let none = (None, 0);
-    assert_eq!(free(|x| _ = x.begin(Command::Home)), none);
-    assert_eq!(free(|x| _ = x.begin(Command::Native(NativeOwner::Master))), none);
-    let homed = |x: &mut Alone| {
-        x.begin(Command::Home);
-        x.ends(Ok(()));
-    };
-    assert_eq!(free(homed), none, "just after it");
-    // The drive itself homes.
-    assert_eq!(free(|x| x.slot.evidence.homing = Homing::Attained), none);
-    // Found, and moved by hand: no limit of this master, but what no axis reaches is a jump all the same.
-    let mut x = Alone::new(limited()).online();
-    for position in [0.0, 50.0, 100.0] {
-        x.at(position);
-    }
-    assert_eq!((x.slot.counters.implausible, x.controller.feedback().status.homed), (0, true));
-    x.at(340.0);
-    x.at(340.0);
-    assert_eq!((x.slot.counters.implausible, x.controller.feedback().status.homed), (1, false));
-    assert_eq!(x.stopped(), None, "without power there is nothing to stop");
 }
 
 #[test]

@@ -6,82 +6,6 @@ use super::*;
 use crate::axis::Lacks;
 use crate::bus::desired::{ModeIs, Ranges};
 
-#[test]
-fn a_move_ends_at_its_target_once_that_was_seen() {
-    for can in movers() {
-        let mut rig = Rig::enabled(can);
-        for (command, place) in [(to(25.0), 25.0), (by(-10.0), 15.0), (to(15.0), 15.0)] {
-            assert_eq!(rig.run(command), Ok(()), "{can:?}");
-            assert!((rig.drive.point.position - place).abs() < 1e-9, "{can:?}: {:?}", rig.drive.point);
-            assert!(!rig.drive.is_moving());
-        }
-        // As fast as it may be, and no faster.
-        let fastest =
-            |rig: &Rig| rig.gone.iter().map(|gone| gone.setpoint.velocity.abs()).fold(0.0, f64::max);
-        assert!(fastest(&rig) < 100.1, "{}", fastest(&rig));
-    }
-}
-
-#[test]
-fn a_command_that_is_replaced_before_it_left_never_was() {
-    for can in movers() {
-        let mut rig = Rig::enabled(can);
-        let before = rig.slot.desired;
-        rig.start(by(50.0));
-        rig.exchange(Fate::Unsent);
-        rig.start(Command::Disable);
-        rig.exchange(Fate::Unsent);
-        rig.start(by(-5.0));
-        assert_eq!(rig.slot.desired.power, before.power, "{can:?}");
-        assert_eq!(rig.finish(), Ok(()));
-        assert!((rig.drive.point.position - 5.0).abs() < 1e-9, "{can:?}: {:?}", rig.drive.point);
-        let furthest = rig.gone.iter().map(|gone| gone.setpoint.position).fold(0.0, f64::max);
-        assert!(furthest <= 10.0, "{can:?}: {furthest}");
-        // What goes out next was built before this one.
-        rig.machine.start(rig.now, Some(by(-1.0)));
-        assert_eq!(rig.finish(), Ok(()));
-        assert!((rig.drive.point.position - 4.0).abs() < 1e-9, "{can:?}: {:?}", rig.drive.point);
-    }
-}
-
-#[test]
-fn reports_that_are_old_or_suspect_or_of_before_end_nothing() {
-    for can in movers() {
-        let mut rig = Rig::enabled_with(can, |plan| plan.in_position.reports = 1);
-        // It comes back to where it begins: its old reports look like its end.
-        rig.start(to(10.0));
-        for _ in 0..50 {
-            rig.exchange(Fate::ReplyLost);
-            rig.exchange(Fate::Suspect(1));
-            assert_eq!(rig.end(), None, "{can:?}");
-        }
-        // One after the other, not with others between them.
-        for _ in 0..20 {
-            (1..can.still_reports).for_each(|_| rig.see(Fate::ReplyLost, false));
-            rig.see(Fate::ReplyLost, true);
-            assert_eq!(rig.end(), None, "{can:?}");
-        }
-        (0..can.still_reports).for_each(|_| rig.see(Fate::ReplyLost, false));
-        assert_eq!(rig.end(), Some(Ok(())), "{can:?}");
-        // By the serial of its own motion only.
-        rig.moving();
-        rig.start(STOP);
-        (0..100).for_each(|_| rig.see(Fate::RequestLost, false));
-        assert_eq!((rig.end(), rig.finish()), (None, Ok(())), "{can:?}");
-    }
-}
-
-#[test]
-fn a_move_that_ends_elsewhere_has_failed() {
-    let can = movers().next().unwrap();
-    let mut rig = Rig::enabled(can);
-    rig.start(to(50.0));
-    rig.turns(100);
-    rig.drive.point.velocity = 0.0;
-    rig.drive.stay();
-    assert_eq!(rig.finish(), Err(Failure::NotArrived));
-}
-
 /// The report, counted from that of the end of the demand, with which the motion ends; its motor stands 0.6 off its
 /// target but for these reports.
 fn ends_by(can: Capabilities, near: impl Fn(u32) -> bool) -> (u32, Result<(), Failure>) {
@@ -108,29 +32,6 @@ fn a_move_is_done_by_the_actual_position_in_its_window_for_its_reports() {
         assert!(at_once.1 == Ok(()) && (reports..reports + 6).contains(&at_once.0), "{at_once:?} {can:?}");
         // It comes by, and rests there later.
         assert_eq!(ends_by(can, |n| n % 10 != 9 || n > 200), (200 + reports + 1, Ok(())), "{can:?}");
-    }
-}
-
-#[test]
-fn a_move_of_an_axis_that_does_not_follow_fails_in_its_time_with_the_distance() {
-    for can in movers() {
-        let (report, end) = ends_by(can, |_| false);
-        let Err(Failure::OutOfPosition { distance, window }) = end else { panic!("{end:?} {can:?}") };
-        assert!((distance + 0.6).abs() < 1e-9 && window == 0.5, "{distance} {window}");
-        assert!((1_000..1_010).contains(&report), "{report} {can:?}");
-        // One that follows nothing at all.
-        let mut rig = Rig::enabled(can);
-        rig.drive.blocked = Some(10.0);
-        let far = rig.run(to(25.0));
-        let Err(Failure::OutOfPosition { distance, .. }) = far else { panic!("{far:?}") };
-        assert!((distance + 15.0).abs() < 1e-6, "{distance}");
-        // The axis can be commanded on.
-        rig.drive.blocked = None;
-        assert_eq!(rig.run(to(20.0)), Ok(()), "{can:?}");
-        // The one key that brings the old end back.
-        let mut rig = Rig::enabled_with(can, |plan| plan.in_position.window = None);
-        rig.drive.blocked = Some(10.0);
-        assert_eq!(rig.run(to(25.0)), Ok(()), "{can:?}");
     }
 }
 
@@ -184,22 +85,6 @@ fn a_whole_turn_that_was_not_made_is_no_arrival_and_a_wrapped_count_is() {
             assert_eq!(rig.run(Command::Enable), Ok(()));
             assert_eq!(rig.run(by(12.0)), Ok(()), "{can:?}");
         }
-    }
-}
-
-#[test]
-fn a_command_replaces_a_move_that_has_not_arrived() {
-    for can in movers() {
-        let mut rig = Rig::enabled(can);
-        rig.drive.blocked = Some(10.0);
-        rig.start(to(12.0));
-        rig.until("the end of its demand", |rig| !rig.drive.is_moving() && rig.drive.point.position == 12.0);
-        rig.turns(100);
-        assert_eq!(rig.end(), None, "{can:?}");
-        rig.drive.blocked = None;
-        assert_eq!(rig.run(to(9.0)), Ok(()), "{can:?}");
-        rig.turns(1_500);
-        assert!((rig.drive.point.position - 9.0).abs() < 1e-9, "{can:?}");
     }
 }
 
@@ -310,50 +195,6 @@ fn a_velocity_is_followed_whatever_it_changes_to() {
         rig.set(f64::NAN);
         rig.turns(100);
         assert!(!rig.drive.is_moving() && rig.slot.desired.setpoint.velocity == 0.0, "{can:?}");
-    }
-}
-
-/// The numbers of the rows that went out, each once.
-fn rows(rig: &Rig, from: usize) -> Vec<u64> {
-    let mut rows: Vec<_> =
-        rig.gone[from..].iter().map(|gone| gone.setpoint.row).filter(|row| *row > 0).collect();
-    rows.dedup();
-    rows
-}
-
-#[test]
-fn each_row_goes_out_once_and_the_last_one_ends_the_stream() {
-    for can in followers() {
-        let mut rig = Rig::enabled(can);
-        let from = rig.gone.len();
-        // The first one comes with the command.
-        rig.start(Command::Follow);
-        rig.row(1, 10.0, false);
-        rig.propose();
-        let mut position = 10.0;
-        for number in 2..=50 {
-            // Sent late, or its reply is lost, or it comes again in a later slot.
-            let fate = [Fate::Good, Fate::ReplyLost, Fate::Good][number as usize % 3];
-            rig.exchange(if number % 7 == 0 { Fate::Unsent } else { fate });
-            if number % 7 == 0 {
-                rig.exchange(Fate::Good);
-            }
-            assert_eq!(rig.end(), None);
-            position += 0.05;
-            rig.row(number, position, number == 50);
-            rig.propose();
-        }
-        assert_eq!(rig.finish(), Ok(()), "{can:?}");
-        assert!((rig.drive.point.position - position).abs() < 1e-9, "{can:?}: {:?}", rig.drive.point);
-        let sent = rows(&rig, from);
-        assert!(sent.windows(2).all(|pair| pair[0] < pair[1]) && sent.len() >= 50, "{can:?}: {}", sent.len());
-        rig.turns(50);
-        assert!(!rig.drive.is_moving());
-        if quantity(&can).is_none() {
-            let end = rig.gone.iter().position(|gone| gone.motion.value == Motion::EndStream).unwrap();
-            let rests = |Setpoint { velocity, position: at, .. }| velocity == 0.0 && at == position;
-            assert!(rig.gone[end - 4..end].iter().all(|gone| rests(gone.setpoint)));
-        }
     }
 }
 
@@ -578,37 +419,6 @@ fn the_rows_at_standstill_end_once_the_drive_has_taken_enough_of_them() {
         assert!(rows.len() == count && rows[1..].iter().all(still), "{lost} {off}: {rows:?}");
         assert_eq!(rig.finish(), Ok(()));
     }
-}
-
-#[test]
-fn a_stream_of_the_masters_setpoints_ends_once_its_last_row_was_taken_at_standstill() {
-    let mut rig = Rig::enabled(Capabilities { still_reports: 2, ..kinds()[1] });
-    rig.start(Command::Follow);
-    rig.row(1, 10.01, false);
-    rig.turns(3);
-    rig.row(2, 10.02, true);
-    rig.propose();
-    for (fate, moving) in [(Fate::Unsent, false), (Fate::RequestLost, false), (Fate::Good, true)] {
-        (0..10).for_each(|_| rig.see(fate, moving));
-        assert_eq!(rig.end(), None, "{fate:?}");
-    }
-    assert_eq!(rig.finish(), Ok(()));
-}
-
-#[test]
-fn a_velocity_ends_at_its_limit_once_enough_reports_in_a_row_show_that_the_drive_stands_there() {
-    let mut rig = Rig::within(Capabilities { still_reports: 3, ..kinds()[0] }, -15.0, 15.0);
-    rig.start(jog(50.0));
-    (0..5).for_each(|_| rig.see(Fate::RequestLost, false));
-    for moving in [true, true, true, false, true, false] {
-        rig.see(Fate::ReplyLost, moving);
-        assert_eq!(rig.end(), None);
-    }
-    rig.see(Fate::ReplyLost, false);
-    assert_eq!(rig.end(), None, "each report counts once");
-    rig.see(Fate::ReplyLost, false);
-    let limit = Failure::Limit { what: "position", value: 15.0, low: -15.0, high: 15.0 };
-    assert_eq!(rig.end(), Some(Err(limit)));
 }
 
 #[test]

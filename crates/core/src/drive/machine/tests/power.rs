@@ -12,34 +12,6 @@ fn found(can: Capabilities, state: Cia402) -> Rig {
 }
 
 #[test]
-fn a_take_over_writes_what_keeps_the_state_and_motion_that_was_found() {
-    use Cia402::{Fault, OperationEnabled, QuickStopActive, ReadyToSwitchOn, SwitchOnDisabled, SwitchedOn};
-    for can in kinds() {
-        for (state, power) in [
-            (SwitchOnDisabled, Power::Off),
-            (ReadyToSwitchOn, Power::Shutdown),
-            (SwitchedOn, Power::SwitchOn),
-            (OperationEnabled, Power::EnableOperation),
-            (QuickStopActive, Power::QuickStop),
-            (Fault, Power::Off),
-        ] {
-            let mut rig = found(can, state);
-            rig.start(None);
-            rig.turns(20);
-            assert_eq!((rig.end(), rig.power(), rig.state()), (Some(Ok(())), power, state), "{can:?}");
-        }
-        let mut rig = found(can, OperationEnabled);
-        rig.drive.point.velocity = 30.0;
-        rig.turns(3);
-        rig.start(None);
-        rig.turns(50);
-        assert!((rig.drive.point.velocity - 30.0).abs() < 1e-6, "{can:?}: {:?}", rig.drive.point);
-        assert_eq!(rig.run(STOP), Ok(()), "{can:?}");
-        assert_eq!((rig.drive.point.velocity, rig.state()), (0.0, OperationEnabled), "{can:?}");
-    }
-}
-
-#[test]
 fn enable_leads_into_operation_from_every_state_and_moves_nothing() {
     use Cia402::{OperationEnabled, QuickStopActive, ReadyToSwitchOn, SwitchOnDisabled, SwitchedOn};
     for can in kinds() {
@@ -255,26 +227,6 @@ fn a_restart_ends_what_runs_and_nothing_of_it_is_written_again() {
     }
 }
 
-#[test]
-fn a_command_waits_until_the_state_of_its_drive_is_known_whatever_leaves_meanwhile() {
-    for can in kinds() {
-        let mut machine = Machine::new(&plan(), can, T);
-        let mut slot = Slot { due: true, ..Slot::default() };
-        assert_eq!(slot.status.state, Cia402::Unknown);
-        machine.start(Time(T), Some(STOP));
-        for cycle in 2..10 {
-            machine.propose(Time(cycle * T), &mut slot);
-            machine.commit(Time(cycle * T));
-            machine.observe(Time(cycle * T), false, &slot);
-        }
-        assert_eq!((machine.end(), slot.desired.power.value), (None, Power::Untouched), "{can:?}");
-        slot.status.state = Cia402::OperationEnabled;
-        machine.propose(Time(10 * T), &mut slot);
-        // It is taken over, and stopped.
-        assert_eq!(slot.desired.power.value, Power::EnableOperation, "{can:?}");
-    }
-}
-
 /// A drive that has failed and is being reset; its reports come at once.
 fn resetting(can: Capabilities, resettable: Resettable) -> Rig {
     let can = Capabilities { power_reports: 3, ..can };
@@ -324,32 +276,6 @@ fn a_take_over_runs_from_where_the_axis_is_by_now_unless_it_stands() {
             let way = position - rig.slot.evidence.position;
             assert!((way - 2e-3 * expected).abs() < 1e-9 && velocity == expected, "{way} {velocity} {can:?}");
         }
-    }
-}
-
-#[test]
-fn a_fault_that_stays_or_follows_a_reset_fails_it_once_its_code_is_known() {
-    for (can, persists) in kinds().into_iter().flat_map(|can| [(can, true), (can, false)]) {
-        let mut rig = resetting(can, Resettable::At(Time(1_030 * T)));
-        rig.drive.persists = persists;
-        rig.until("its time", |rig| rig.now == Time(1_030 * T));
-        assert_eq!(rig.power(), Power::Off, "{can:?}");
-        rig.turn();
-        assert_eq!(rig.power(), Power::FaultReset, "{can:?}");
-        if persists {
-            rig.turn();
-            let since = rig.now;
-            assert_eq!((rig.finish(), rig.now.since(since) / MS), (Err(Failure::DriveFault(7)), 501));
-            continue;
-        }
-        rig.turns(2);
-        rig.drive.shows.fault.named = false;
-        rig.drive.trip(9);
-        rig.turns(20);
-        assert_eq!(rig.end(), None, "{can:?}");
-        rig.drive.shows.fault.named = true;
-        rig.turn();
-        assert_eq!(rig.end(), Some(Err(Failure::DriveFault(9))), "{can:?}");
     }
 }
 

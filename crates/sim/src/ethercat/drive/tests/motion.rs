@@ -47,23 +47,6 @@ fn current_setpoints_accelerate_by_torque_over_inertia_up_to_the_limit() {
 }
 
 #[test]
-fn position_setpoints_are_followed_between_the_cycles() {
-    for (pdo, object) in [(0x1701, INTERPOLATION), (0x1704, TARGET_POSITION)] {
-        let mut bench = Bench::enabled(Mode::TRAJECTORY, pdo, 0x1B03);
-        for cycle in 1..=1_000_i64 {
-            bench.put(object, cycle * 2_000);
-            bench.cycle();
-        }
-        let behind = 2_000_000 - bench.got(POSITION);
-        // A cycle, in which the setpoint is only begun.
-        assert!((0..=4_000).contains(&behind), "{pdo:#06x} {behind}");
-        bench.cycles(100);
-        assert!((bench.got(POSITION) - 2_000_000).abs() < 20, "{}", bench.got(POSITION));
-        assert!(bench.status().has(StatusWord::TARGET_REACHED));
-    }
-}
-
-#[test]
 fn positions_wrap_at_32_bits() {
     let mut bench = Bench::pre_op(|settings| settings.position = i32::MAX - 50_000);
     bench.select(0x1C12, 0x1701);
@@ -81,17 +64,6 @@ fn positions_wrap_at_32_bits() {
     let wrapped = i64::from((start + 100_000) as i32);
     assert!(wrapped < 0 && (bench.got(POSITION) - wrapped).abs() < 20, "{}", bench.got(POSITION));
     assert_eq!(bench.drive.fault(), None);
-}
-
-#[test]
-fn a_jump_of_the_position_setpoint_is_a_following_error() {
-    let mut bench = Bench::enabled(Mode::TRAJECTORY, 0x1701, 0x1B03);
-    bench.put(INTERPOLATION, (100 * TURN).into());
-    bench.cycles(5);
-    assert_eq!(bench.drive.fault(), Some(Fault::FOLLOWING));
-    assert!(bench.drive.rpm().abs() <= 6_000.0);
-    bench.cycles(500);
-    assert_eq!(bench.status().state(), State::Fault);
 }
 
 #[test]
@@ -140,25 +112,4 @@ fn homing_goes_to_the_switch_and_sets_the_offset_there() {
     assert!(bench.drive.is_homed());
     assert!((bench.got(POSITION) - 5_000).abs() < 500, "{}", bench.got(POSITION));
     assert_eq!(bench.read("0x1002:0").unwrap() as u32 & 2, 2);
-}
-
-#[test]
-fn homing_without_a_switch_fails_and_without_its_start_bit_ends() {
-    let mut bench = Bench::enabled(Mode::HOMING, 0x1702, 0x1B03);
-    bench.control(0x1F);
-    bench.cycles(50);
-    bench.control(0x0F);
-    bench.cycles(50);
-    assert!(bench.drive.rpm().abs() < 1.0 && !bench.drive.is_homed());
-    bench.write("0x6098:0", &[35]).unwrap();
-    bench.control(0x1F);
-    assert!(bench.drive.is_homed());
-    assert_eq!(bench.got(POSITION), 0);
-
-    let mut bench = Bench::pre_op(|settings| settings.home_turns = None);
-    bench.write("0x6060:0", &[6]).unwrap();
-    bench.go_to_op();
-    bench.enable();
-    bench.control(0x1F);
-    assert!(bench.status().has(StatusWord::MODE_13) && !bench.status().has(StatusWord::MODE_12));
 }

@@ -95,23 +95,6 @@ fn a_digital_output_terminal_moves_its_own_bits_in_op_only_and_until_its_watchdo
 }
 
 #[test]
-fn sixteen_outputs_have_two_sync_managers_and_each_byte_needs_its_own() {
-    let mut bench = row([model(Model::El2809)]);
-    let manager = |at| [at, 0x0F, 1, 0, 0x44, 0, 1, 0];
-    assert_eq!(bench.write(0, address::sync_manager(0), &manager(0)), 1);
-    assert_eq!(bench.write(0, address::fmmu(0), &Fmmu::bytes(0, 2, DIGITAL_OUTPUT, true).to_bytes()), 1);
-    bench.control(0, AlStatus::request(S::Op));
-    bench.send(Command::Lwr(0), &[1, 2]);
-    assert_eq!(bench.segment.slave(0).unwrap().driven(), [1], "the second byte has no SyncManager");
-    assert_eq!(bench.write(0, address::sync_manager(1), &manager(1)), 1);
-    bench.send(Command::Lwr(0), &[3, 4]);
-    assert_eq!(bench.segment.slave(0).unwrap().driven(), [3, 4]);
-    // Only the second one is written.
-    assert_eq!(bench.write(0, 0x0F01, &[7]), 1);
-    assert_eq!(bench.segment.slave(0).unwrap().driven(), [3, 7]);
-}
-
-#[test]
 fn a_strict_processor_compares_each_byte_of_its_sync_managers() {
     let strict =
         |output_control| SlaveSettings { exact_managers: true, output_control, ..SlaveSettings::default() };

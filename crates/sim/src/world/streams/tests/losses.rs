@@ -3,59 +3,6 @@
 use super::*;
 
 #[test]
-fn split_bytes_come_one_by_one_and_in_order() {
-    let mut rig = Rig::new(1, FaultPlan { split: 1.0, ..FaultPlan::default() });
-    rig.opened(0);
-    let (mut set, mut came) = (PollSet::default(), Vec::new());
-    for number in 0..3 {
-        rig.request(0, number).unwrap();
-    }
-    let end = rig.world.now() + MS;
-    while rig.world.clock().wait(&mut set, end) {
-        rig.take();
-        came.push((rig.world.now(), rig.received[0].len()));
-    }
-    assert_eq!(rig.received[0], [0, 2, 1, 3, 2, 4]);
-    assert!(came.iter().map(|(_, count)| *count).eq(1..=6), "{came:?}");
-    assert!(came.windows(2).all(|pair| pair[0].0 < pair[1].0), "{came:?}");
-    assert_eq!(rig.world.injected(drive(0)).unwrap().split, 8);
-}
-
-#[test]
-fn nothing_overtakes_on_a_stream() {
-    let faults = FaultPlan { seed: 4, delay: 0.3, delay_ns: 300 * US, split: 0.3, ..FaultPlan::default() };
-    let mut rig = Rig::new(1, faults);
-    rig.opened(0);
-    for number in 0..100 {
-        rig.request(0, number).unwrap();
-        rig.pass(30 * US);
-    }
-    rig.pass(MS);
-    let expected: Vec<_> = (0..100).flat_map(|number| [number, number + 2]).collect();
-    assert_eq!(rig.received[0], expected);
-    assert!(rig.broken.is_empty());
-    let injected = rig.world.injected(drive(0)).unwrap();
-    assert!(injected.delayed > 40 && injected.split > 40, "{injected:?}");
-}
-
-#[test]
-fn a_stall_holds_up_and_loses_nothing() {
-    let mut rig = Rig::new(1, FaultPlan::default());
-    rig.opened(0);
-    let plan = FaultPlan { stall: 1.0, stall_ns: 5 * MS, ..FaultPlan::default() };
-    assert!(rig.world.set_faults(drive(0), plan));
-    let begin = rig.world.now();
-    rig.request(0, 1).unwrap();
-    rig.pass(MS);
-    rig.request(0, 2).unwrap();
-    assert!(!rig.world.clock().wait(&mut PollSet::default(), begin + 5 * MS));
-    rig.pass(MS);
-    assert_eq!(rig.received[0], [1, 2, 2, 3]);
-    let injected = rig.world.injected(drive(0)).unwrap();
-    assert_eq!((injected.stalls, injected.stalled), (1, 2));
-}
-
-#[test]
 fn a_lost_segment_comes_after_the_hosts_timeout_and_what_follows_waits_behind_it() {
     let mut rig = Rig::new(1, FaultPlan::default());
     rig.opened(0);

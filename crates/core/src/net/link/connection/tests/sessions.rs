@@ -82,23 +82,6 @@ fn open(connection: &mut Connection) -> Time {
 }
 
 #[test]
-fn a_session_keeps_its_connection_and_is_never_handed_over() {
-    let (mut connection, toy, notes) = session();
-    let now = connect(&mut connection);
-    toy.with(|log| log.say = b"register".to_vec());
-    assert_eq!(connection.connected(now), Action::Send);
-    assert_eq!(send(&mut connection, now, 3), (b"register".to_vec(), Action::Wait));
-    assert_eq!((connection.next_due(), notes.get(0)), (None, None));
-    for byte in b"registered" {
-        assert_eq!(connection.received(now, &[*byte]), Action::Wait);
-    }
-    toy.with(|log| log.say = b"next".to_vec());
-    assert_eq!(connection.received(now, b"!"), Action::Send);
-    assert_eq!(connection.to_send(), b"next");
-    assert_eq!(toy.with(|log| (log.got.clone(), log.opened)), (b"registered!".to_vec(), 1));
-}
-
-#[test]
 fn a_session_runs_when_it_is_due_or_woken_with_a_connection_or_without() {
     let (mut connection, toy, _) = session();
     toy.with(|log| log.due = Some(START + MS));
@@ -116,19 +99,6 @@ fn a_session_runs_when_it_is_due_or_woken_with_a_connection_or_without() {
     assert_eq!(connection.run(now), Action::Send);
     assert_eq!(connection.to_send(), b"call");
     assert_eq!(toy.with(|log| log.runs.len()), 3);
-}
-
-#[test]
-fn a_session_that_has_ended_in_order_gets_no_note() {
-    let (mut connection, toy, notes) = session();
-    let now = open(&mut connection);
-    toy.with(|log| log.ended = true);
-    // The peer closes it, and then nobody listens.
-    assert_eq!(connection.failed(now, Broken::Closed), Action::Close);
-    assert_eq!((notes.get(0), toy.with(|log| log.closed.len())), (None, 1));
-    let now = connect(&mut connection);
-    assert_eq!(connection.failed(now, Broken::Failed(libc::ECONNREFUSED)), Action::Close);
-    assert_eq!(notes.get(0), None);
 }
 
 #[test]
