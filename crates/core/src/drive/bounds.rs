@@ -195,13 +195,19 @@ impl Bounds {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::axis::{FollowingError, Limits, Units};
+    use crate::axis::{FollowingError, Limits, Unit, Units};
     use crate::time::MS;
 
     fn plan() -> AxisPlan {
         let mut plan = AxisPlan::new("x", Units::millimetres(10_000.0));
         plan.limits = Limits { position: Some((0.0, 100.0)), velocity: Some(500.0), ..Limits::default() };
         plan.stop.deceleration = 1_000.0;
+        plan
+    }
+
+    fn unranged() -> AxisPlan {
+        let mut plan = plan();
+        plan.limits.position = None;
         plan
     }
 
@@ -217,6 +223,8 @@ mod tests {
         velocity: 0.0,
         behind: 0.0,
     };
+    const UNHOMED: Sample = Sample { homed: false, ..SAMPLE };
+    const TORQUE: Sample = Sample { led: false, ..SAMPLE };
     const NONE: f64 = f64::NAN;
 
     /// Positions and velocities at 1 kHz, all else as in `sample`; returns the report in which the watch trips.
@@ -238,6 +246,22 @@ mod tests {
     fn strikes(plan: &AxisPlan, watched: Watched, sample: Sample, demands: &[f64]) -> Option<usize> {
         let demands: Vec<_> = demands.iter().map(|demand| (*demand, NONE)).collect();
         broken_by(plan, watched, sample, &demands)
+    }
+
+    #[test]
+    fn under_torque_the_speed_and_the_place_of_the_motor_count_and_not_how_its_positions_change() {
+        let free = |reported: &[(f64, f64)]| broken_by(&unranged(), BRAKING, TORQUE, reported);
+        // 500 mm/s, with the margin of a measured speed; its position need not change for that.
+        assert_eq!([590.0, 610.0, -610.0].map(|v| free(&[(50.0, v); 20])), [None, Some(2), Some(2)]);
+        assert_eq!(free(&[10.0, 20.0, 30.0, 40.0].map(|at| (at, 0.0))), None, "noise is no speed");
+        let broken = |reported: &[(f64, f64)]| broken_by(&plan(), BRAKING, TORQUE, reported);
+        // 400 mm/s needs 80 mm at 1000 mm/s²: it trips while there is room.
+        let reported: Vec<_> = (0..250).map(|index| (f64::from(index) * 0.4, 400.0)).collect();
+        let (place, velocity) = reported[broken(&reported).unwrap()];
+        let end = place + velocity * 0.002 + velocity * velocity / 2_000.0;
+        assert!((98.0..=100.001).contains(&end), "{end}");
+        // From the outside in is allowed.
+        assert_eq!([-10.0, 1.0].map(|v| broken(&[(105.0, v); 9])), [None, Some(2)]);
     }
 
     #[test]
@@ -282,6 +306,68 @@ mod tests {
                 assert!(bounds.speed() <= most * 1.000_001, "{what}, {n}: {}", bounds.speed());
                 assert!(!bounds.are_broken(BRAKING, 0.001), "{what}, {n}");
             }
+        }
+    }
+
+    #[test]
+    fn a_drive_without_a_position_is_watched_by_its_speed_in_both_directions() {
+        let at = |velocities: &[f64]| {
+            let reported: Vec<_> = velocities.iter().map(|velocity| (NONE, *velocity)).collect();
+            broken_by(&unranged(), BRAKING, UNHOMED, &reported)
+        };
+        assert_eq!(at(&[500.0, -500.0, 590.0, 590.0, -590.0, 590.0]), None);
+        assert_eq!(at(&[500.0, 610.0, 610.0, 610.0]), Some(3));
+        assert_eq!(at(&[500.0, -610.0, -610.0, -610.0]), Some(3));
+        let disturbed = [700.0, 700.0, 500.0, 700.0, -700.0, 700.0, -700.0];
+        assert_eq!(at(&disturbed), None, "a disturbance is no speed");
+    }
+
+    #[test]
+    fn a_speed_or_a_position_that_is_not_told_is_not_inside_its_limits() {
+        let mut without = unranged();
+        without.limits.velocity = None;
+        for (what, plan, sample, velocity, broken) in [
+            ("homed, as it reports, but where?", &plan(), SAMPLE, 100.0, Some(2)),
+            ("it stands", &plan(), SAMPLE, 0.0, None),
+            ("not homed: nothing may move it", &plan(), UNHOMED, 100.0, None),
+            ("no speed", &unranged(), UNHOMED, NONE, Some(2)),
+            ("without limits there is nothing to watch", &without, UNHOMED, NONE, None),
+        ] {
+            assert_eq!(broken_by(plan, BRAKING, sample, &[(NONE, velocity); 4]), broken, "{what}");
+        }
+    }
+
+    #[test]
+    fn a_speed_over_its_limit_is_found_in_the_third_report_homed_or_not() {
+        let line = |step: f64| (0..9).map(|index| f64::from(index) * step).collect::<Vec<f64>>();
+        let (fast, just) = (line(0.6), line(0.5));
+        assert_eq!([SAMPLE, UNHOMED].map(|sample| strikes(&plan(), RANGE, sample, &fast)), [Some(3); 2]);
+        assert_eq!(strikes(&plan(), RANGE, SAMPLE, &just), None);
+        assert_eq!(strikes(&plan(), RANGE, SAMPLE, &[10.0, 20.0, 10.0, 20.0, 10.0]), None, "no speed: jumps");
+        // A turn over the end of a rotary axis is a short way.
+        let mut rotary = unranged();
+        (rotary.units.modulo, rotary.units.unit) = (Some(1.0), Unit::Revolution);
+        assert_eq!(strikes(&rotary, BRAKING, SAMPLE, &[0.8, 0.2, 0.6, 0.0]), None);
+    }
+
+    #[test]
+    fn the_range_holds_outward_only_and_only_when_homed() {
+        let mut below = plan();
+        below.limits.position = Some((-50.0, 100.0));
+        let out = [99.9, 100.1, 100.2, 100.3];
+        for (plan, sample, demands, broken) in [
+            (&plan(), SAMPLE, &out[..], Some(3)),
+            (&plan(), UNHOMED, &out, None),
+            (&plan(), SAMPLE, &[103.0, 102.8, 102.6, 102.4], None),
+            (&plan(), SAMPLE, &[0.0, -0.2, -0.4, -0.6], Some(3)),
+            (&below, SAMPLE, &[-0.2, -0.4, -0.6, -0.8, -1.0], None),
+            (&below, SAMPLE, &[-49.9, -50.1, -50.3, -50.5], Some(3)),
+        ] {
+            assert_eq!(strikes(plan, RANGE, sample, demands), broken, "{demands:?}");
+        }
+        // Two counts may be due to rounding.
+        for (end, broken) in [(100.0002, None), (100.0003, Some(2)), (-50.0002, None), (-50.0003, Some(2))] {
+            assert_eq!(broken_by(&below, RANGE, TORQUE, &[(end, f64::signum(end)); 9]), broken, "{end}");
         }
     }
 
@@ -342,6 +428,28 @@ mod tests {
         let around = 4_294_967_296.0 / 10_000.0;
         for (behind, found) in [(around, None), (around + 1.1, Some(2)), (10.0, Some(2))] {
             assert_eq!(strays_at(&plan, 0.0, &[(behind, true); 9]), found, "{behind}");
+        }
+    }
+
+    #[test]
+    fn the_largest_following_error_follows_from_the_velocity_limit_and_the_age_of_the_position() {
+        let (derived, most) = (FollowingError::Derived, FollowingError::Most(3.0));
+        // 500 mm/s for 2 and 50 ms.
+        for (window, velocity, following_error, behind_ns, wanted) in [
+            (Some(0.5), Some(500.0), derived, 2 * MS, Some(26.5)),
+            (None, Some(500.0), derived, 0, Some(25.0 + 4e-4)),
+            (None, None, derived, 0, None),
+            (None, None, most, 2 * MS, Some(3.0)),
+            (None, Some(500.0), FollowingError::Off, 0, None),
+        ] {
+            let mut plan = plan();
+            plan.in_position.window = window;
+            (plan.limits.velocity, plan.limits.following_error) = (velocity, following_error);
+            let found = plan.most_following_error(behind_ns);
+            let is_near = found.zip(wanted).is_none_or(|(found, wanted)| (found - wanted).abs() < 1e-9);
+            assert!(found.is_some() == wanted.is_some() && is_near, "{found:?} instead of {wanted:?}");
+            let strays = strays_at(&plan, 0.0, &[(1e9, true); 9]).is_some();
+            assert_eq!(strays, wanted.is_some(), "without a limit there is none");
         }
     }
 

@@ -144,6 +144,54 @@ mod tests {
         })
     }
 
+    /// After a command that is done, at 1 kHz.
+    fn trips(reports: impl IntoIterator<Item = (bool, f64)>) -> Option<usize> {
+        trips_at(|_| (), &stop(), 1, reports)
+    }
+
+    #[test]
+    fn three_reports_of_a_motion_in_one_direction_trip_it() {
+        for (what, moving, velocity, tripped) in [
+            ("forward", false, 6.0, Some(62)),
+            ("backward", false, -6.0, Some(62)),
+            ("the generator runs, however slowly", true, 1.0, Some(62)),
+            ("the generator runs", true, f64::NAN, Some(62)),
+            ("noise below the window", false, 4.9, None),
+            ("no speed is known, and the generator stands", false, f64::NAN, None),
+        ] {
+            let reports = [[(false, 0.0); 60].as_slice(), &[(moving, velocity); 500]].concat();
+            assert_eq!(trips(reports), tripped, "{what}");
+        }
+        let shaken = (0..560).map(|n| {
+            (
+                false,
+                if n < 60 {
+                    0.0
+                } else if n % 4 < 2 {
+                    50.0
+                } else {
+                    -50.0
+                },
+            )
+        });
+        assert_eq!(trips(shaken), None, "a disturbance leads there and back again");
+        // What comes with power that nobody switched on: at once.
+        assert_eq!(trips_at(Rest::power_off, &stop(), 1, [(true, 1.0); 9]), Some(2));
+    }
+
+    #[test]
+    fn an_axis_settles_in_its_time_or_in_as_many_exchanges_as_prove_its_standstill_and_no_longer() {
+        let ringing =
+            (0..2_000).map(|n| (false, 300.0 * (f64::from(n) * 0.2).sin() * (-0.1 * f64::from(n)).exp()));
+        assert_eq!(trips(ringing), None);
+        assert_eq!(trips([(true, 40.0); 100]), Some(53), "done, and it goes on");
+        for (standstill_for, tripped) in [(20, 23), (3, 8)] {
+            let stop = StopPlan { standstill_for, ..stop() };
+            let found = trips_at(|_| (), &stop, 10, [(false, 40.0); 99]);
+            assert_eq!(found, Some(tripped), "{standstill_for} exchanges of 10 ms");
+        }
+    }
+
     #[test]
     fn after_its_stop_an_axis_overshoots_no_more_than_its_stop_brakes_in_ten_milliseconds() {
         let stop = StopPlan { deceleration: 4_000.0, standstill: 5.0, ..stop() };

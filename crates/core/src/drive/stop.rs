@@ -342,6 +342,54 @@ mod tests {
     }
 
     #[test]
+    fn power_goes_off_only_after_so_many_reports_of_standstill_in_a_row() {
+        let [moves, still] = [MOVING, STANDING].map(|sight| (1, sight, None, false));
+        let (none, off) = ((1, held(STANDING), None, false), (1, STANDING, POWER_OFF, false));
+        for (how, seen) in [
+            (Ramp, &[moves, still, still, none, off][..]),
+            (Quick, &[still, still, moves, still, still, off]),
+        ] {
+            let mut sequence = start(plan(how, Disable), 0.0);
+            sequence.steps(seen);
+            sequence.steps(&[(2, OFF, None, true)]);
+        }
+    }
+
+    #[test]
+    fn the_end_of_the_master_waits_for_an_axis_that_coasts_but_no_longer_than_its_time_out() {
+        let coasting = Sight { velocity: 50.0, ..OFF };
+        for ending in [false, true] {
+            let mut sequence = start(plan(Coast, Disable), 50.0);
+            if ending {
+                sequence.shut_down(Time(0), true);
+            }
+            sequence.steps(&[(1, MOVING, None, false), (2, coasting, None, !ending)]);
+            assert_eq!(sequence.is_seen_off(), !ending);
+            sequence.steps(&[(3, OFF, None, true)]);
+            assert!(sequence.is_seen_off());
+        }
+        let mut sequence = start(plan(Coast, Disable), 50.0);
+        sequence.shut_down(Time(0), true);
+        sequence.steps(&[(999, coasting, None, false), (1_000, coasting, None, true)]);
+        assert!(sequence.is_seen_off());
+        // It moves again: what was seen before is no proof.
+        for moved in 1..4 {
+            sequence.again(Time(1_000 + moved), 50.0);
+        }
+        sequence.steps(&[(3_000, held(OFF), None, true)]);
+        assert!(!sequence.is_seen_off());
+    }
+
+    #[test]
+    fn hold_stays_powered_but_a_shutdown_does_not() {
+        let mut sequence = start(plan(Ramp, Hold), 0.0).stands();
+        sequence.shut_down(Time(2), true);
+        // Power goes off only after standstill here, too.
+        let still = (3, STANDING, None, false);
+        sequence.steps(&[still, still, (3, STANDING, POWER_OFF, false)]);
+    }
+
+    #[test]
     fn a_hurry_brakes_faster_and_still_waits_for_standstill() {
         // Its own time-out may be shorter still.
         for (timeout, left) in [(Duration::from_secs(20), 250_000_000), (Duration::from_nanos(1_000), 1_000)]
@@ -355,6 +403,32 @@ mod tests {
             assert_eq!(sequence.hurry(Time(0)), None);
             sequence.steps(&[(left - 1, MOVING, None, false), (left, MOVING, None, true)]);
         }
+    }
+
+    #[test]
+    fn nothing_is_switched_off_blindly_and_a_drive_that_comes_back_is_requested_again_what_was_last() {
+        for quickened in [false, true] {
+            let plan = plan(Ramp, Disable);
+            let mut sequence = start(plan, 100.0);
+            if quickened {
+                sequence.quicken();
+            }
+            let ramp = Command::Stop { deceleration: Some(deceleration_of(&plan, 100.0, 50.0)) };
+            let (again, then) = if quickened { (QUICK, POWER_OFF) } else { (Some(ramp), QUICK) };
+            // While it is silent its time does not run; from its return on it does.
+            sequence.steps(&[
+                (5_000, LOST, None, false),
+                (5_001, Sight { powered: false, ..LOST }, None, false),
+                (6_000, MOVING, again, false),
+                (6_500, MOVING, None, false),
+                (7_000, MOVING, then, false),
+            ]);
+        }
+        // A shutdown does not wait for ever.
+        let mut sequence = start(plan(Ramp, Disable), 0.0);
+        sequence.step(Time(500), LOST);
+        sequence.shut_down(Time(500), true);
+        sequence.steps(&[(1_600, LOST, POWER_OFF, false)]);
     }
 
     #[test]
@@ -384,6 +458,25 @@ mod tests {
         let mut sequence = start(plan(Quick, Hold), 0.0).stands();
         sequence.shut_down(Time(2), true);
         sequence.steps(&[(3, OFF, POWER_OFF, false)]);
+    }
+
+    #[test]
+    fn a_time_out_ends_by_its_policy() {
+        // The ramp has its time, and the quick stop.
+        let ramp = [(999, MOVING, None, false), (1_000, MOVING, QUICK, false), (1_999, MOVING, None, false)];
+        let mut sequence = start(plan(Ramp, Hold), 100.0);
+        sequence.steps(&ramp);
+        sequence.steps(&[(2_000, MOVING, POWER_OFF, false)]);
+        let hold = StopPlan { on_timeout: StopTimeout::Hold, ..plan(Ramp, Disable) };
+        let mut sequence = start(hold, 100.0);
+        sequence.steps(&ramp);
+        sequence.steps(&[(2_000, MOVING, None, true)]);
+        // A shutdown gives it the time once more, and only once.
+        sequence.shut_down(Time(2_100), true);
+        assert!(!sequence.is_down());
+        assert_eq!(sequence.step(Time(3_100), MOVING), None);
+        sequence.shut_down(Time(3_100), true);
+        assert!(sequence.is_down());
     }
 
     #[test]
@@ -442,5 +535,28 @@ mod tests {
                 assert!(!sequence.is_down(), "{how:?} {on_timeout:?}");
             }
         }
+    }
+
+    #[test]
+    fn a_load_that_only_the_drive_holds_keeps_its_power_to_the_very_end() {
+        let hold = StopPlan { on_timeout: StopTimeout::Hold, ..plan(Ramp, Hold) };
+        let start = || StopSequence::start(hold, Load::Vertical(HeldBy::Drive), Time(0), 0.0).0;
+        let mut sequence = start();
+        sequence.shut_down(Time(1), true);
+        assert_eq!(sequence.hurry(Time(1)), QUICK);
+        // Not by its time-out, however short.
+        sequence.steps(&[(400_000_000, MOVING, None, true)]);
+        let mut sequence = start().stands();
+        sequence.shut_down(Time(2), true);
+        assert!(sequence.is_down());
+        // Its power goes while the shutdown waits for others.
+        sequence.shut_down(Time(3), false);
+        sequence.steps(&[(4, OFF, POWER_OFF, false), (5, OFF, None, true)]);
+        sequence.shut_down(Time(6), false);
+        assert!(sequence.is_down());
+        // Off already when the shutdown comes: its control word has to say so.
+        let mut sequence = start().stands();
+        sequence.shut_down(Time(3), false);
+        sequence.steps(&[(4, OFF, POWER_OFF, false)]);
     }
 }

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::axis::command::NativeOwner;
-use crate::bus::desired::Follows;
+use crate::bus::desired::{Follows, ModeIs};
 use crate::drive::planner::Point;
 
 #[test]
@@ -53,6 +53,36 @@ fn a_quick_stop_is_released_at_standstill_and_not_before() {
         rig.set(50.0);
         rig.turns(50);
         assert_eq!((rig.drive.is_moving(), rig.power()), (false, Power::EnableOperation));
+    }
+}
+
+#[test]
+fn a_halt_is_neither_made_softer_nor_ended_by_what_replaces_it_or_is_refused() {
+    for can in kinds() {
+        let refused = refused(&can);
+        for next in [Command::Stop { deceleration: Some(1.0) }, refused] {
+            let mut rig = Rig::enabled_with(can, |plan| plan.limits.acceleration = Some(5_000.0));
+            rig.moving();
+            rig.start(Command::QuickStop);
+            rig.turns(3);
+            assert!(rig.drive.is_moving() && rig.motion() == Motion::Halt, "{can:?}");
+            rig.start(next);
+            // A command that is refused as it begins ends what runs, but not the halt.
+            assert_eq!(rig.end().is_some(), next == refused);
+            let from = rig.gone.len();
+            for _ in 0..20 {
+                let moved = rig.drive.is_moving();
+                rig.turn();
+                let motion = rig.gone.last().unwrap().motion.value;
+                assert!(!moved || motion == Motion::Halt, "{motion:?} {next:?} {can:?}");
+            }
+            assert!(!rig.drive.is_moving() && rig.gone.len() > from, "{next:?} {can:?}");
+            assert_eq!(rig.finish().is_ok(), next != refused);
+            rig.until("its release", |rig| rig.motion() == Motion::Hold);
+            rig.turns(20);
+            assert!(!rig.drive.is_moving(), "{can:?}");
+            assert_eq!((rig.run(Command::Enable), rig.power()), (Ok(()), Power::EnableOperation), "{can:?}");
+        }
     }
 }
 
@@ -196,6 +226,29 @@ fn a_drive_that_does_not_follow_yet_is_stopped_when_it_does_or_not_at_all() {
             rig.turns(3);
             assert_eq!(rig.run(command), Err(why), "{can:?}");
         }
+    }
+}
+
+#[test]
+fn a_drive_found_in_another_mode_is_halted_in_it_before_it_changes() {
+    for can in kinds().into_iter().filter(|can| quantity(can).is_some()) {
+        let mut rig = Rig::new(can);
+        rig.drive.state = Cia402::OperationEnabled;
+        (rig.drive.shows.mode, rig.drive.point.velocity) = (ModeIs::Other, 30.0);
+        rig.turns(3);
+        rig.start(STOP);
+        for _ in 0..500 {
+            rig.turn();
+            assert!(
+                rig.drive.shows.mode != ModeIs::Own || !rig.drive.is_moving(),
+                "{can:?}: {:?}",
+                rig.drive
+            );
+            if rig.end().is_some() {
+                break;
+            }
+        }
+        assert_eq!((rig.end(), rig.drive.shows.mode), (Some(Ok(())), ModeIs::Own), "{can:?}");
     }
 }
 
