@@ -1,7 +1,7 @@
 //! Which reply answers which request: late, doubled, foreign and broken ones are counted and never matched. What holds
 //! for every bus stands in `conformance/replies`; here is what the loop makes of it, and what only LinUDP has.
 
-use fieldbeat::axis::{Command, Row, StopCause};
+use fieldbeat::axis::{Command, Link, Row, StopCause};
 use fieldbeat::bus::linudp::{MonitorPlan, ReplyTag, StatusWord};
 use fieldbeat::sim::{FaultPlan, WorldOptions};
 use fieldbeat::telemetry::{Counters, Numbers, Unmatched};
@@ -30,6 +30,26 @@ fn counters(b: Bench) -> Counters {
     let missed: u64 = end.drives.iter().map(|drive| drive.counters.missed + drive.counters.unsent).sum();
     assert_eq!(end.status.missed, missed);
     counters
+}
+
+#[test]
+fn replies_that_are_always_as_late_as_their_echoes_repeat_are_no_link() {
+    // A round trip of so many cycles and 200 us: each reply echoes the request that has just left.
+    for (cycles, monitor) in [(8, MonitorPlan::Off), (16, MonitorPlan::Off), (4, MonitorPlan::AsSet)] {
+        for within in [1, 2, 3] {
+            let mut rig = Rig::new(1).each(|_, drive| {
+                (drive.reply_within, drive.monitor) = (Some(within), monitor);
+            });
+            rig.options = WorldOptions { latency_ns: (cycles * 1_000 + 200) * US / 2, ..rig.options };
+            let mut b = rig.start();
+            for _ in 0..3_000 {
+                b.step();
+                assert_ne!(b.feedback(0).link, Link::Online, "{cycles} cycles, {within}, {monitor:?}");
+            }
+            let c = counters(b);
+            assert!(c.answered < c.missed, "{cycles} cycles, {within}, {monitor:?}: {c:?}");
+        }
+    }
 }
 
 #[test]

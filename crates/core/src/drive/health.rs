@@ -134,6 +134,14 @@ impl LinkHealth {
         }
     }
 
+    /// The reply of slot `index` may be that of an earlier request: it takes no miss out of the bucket.
+    pub fn answered_in_doubt(&mut self, index: u64) {
+        match self.link {
+            Link::Online => self.good_at = index,
+            _ => self.answered(index),
+        }
+    }
+
     #[inline(never)]
     fn improve(&mut self, index: u64) {
         match self.link {

@@ -54,6 +54,9 @@ pub(super) struct Identity {
     without_miss: u8,
     /// The reply that closed the last exchange was suspect.
     suspect: bool,
+    /// So was the one before the last request, which differs from those before it: its reply cannot be mistaken for
+    /// theirs, which may still come.
+    odd_requested: bool,
     /// The blocks by which the requests of one kind differ.
     varies: ResponseDef,
     /// The block that the request after a suspect reply has or lacks.
@@ -139,6 +142,7 @@ impl Identity {
             mistakable: 0,
             without_miss: 0,
             suspect: false,
+            odd_requested: false,
         }
     }
 
@@ -157,7 +161,7 @@ impl Identity {
         if self.open || self.suspect || self.under_way > 0 || self.without_miss < FORGOTTEN_AFTER {
             self.count();
         }
-        (self.open, self.suspect) = (true, false);
+        (self.open, self.suspect, self.odd_requested) = (true, false, self.suspect);
         // A power of two.
         self.turn = (self.turn + 1) & (self.turns - 1);
         if !self.is_same_kind(self.requested, self.prepared) {
@@ -179,10 +183,6 @@ impl Identity {
         } else {
             self.under_way = 0;
         }
-        if !self.open && self.suspect {
-            // This request differs from those before: its reply cannot be mistaken for theirs. Theirs may still come.
-            self.mistakable = 0;
-        }
     }
 
     /// The last exchange has no reply yet.
@@ -200,7 +200,7 @@ impl Identity {
     #[inline]
     pub(super) fn answered(&mut self) -> bool {
         let named = self.requested.tag.is_some();
-        let suspect = !named && self.mistakable >= self.turns;
+        let suspect = !named && !self.odd_requested && self.mistakable >= self.turns;
         (self.open, self.suspect) = (false, suspect);
         if !named && !suspect {
             // Replies come in the order of their requests: after this one the earlier ones count as lost.

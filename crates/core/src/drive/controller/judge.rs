@@ -211,7 +211,7 @@ impl DriveController {
             Exchange::Answered { .. } => {
                 slot.exchange = Exchange::Idle;
                 self.closed = Some(Closed::Answered);
-                self.health.answered(cycle.index);
+                self.health.answered_in_doubt(cycle.index);
                 Reply::Suspect
             }
         }
