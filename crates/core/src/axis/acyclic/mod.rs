@@ -72,10 +72,9 @@ pub enum CallError {
     /// The link is not up.
     #[error("the drive is not online: `fieldbeat status` and Master::wait_online say why")]
     NotOnline,
-    /// It did not end within its time.
+    /// It did not end within its time; the drive may have carried it out.
     #[error(
-        "the drive did not finish it in time, and may have done it: check whether it is busy (flash, another \
-         tool), or allow more time"
+        "the drive did not finish it in time: check whether it is busy (flash, another tool), or allow more time"
     )]
     TimedOut,
     /// The drive restarted, or lost the state of a running call.

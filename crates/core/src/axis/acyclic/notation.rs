@@ -175,6 +175,14 @@ impl Request {
         ParameterError::Notation { request: Box::new(Request { value: None, ..self.clone() }), error }
     }
 
+    /// What became of a write is not known.
+    fn left_open(&self, why: CallError) -> &'static str {
+        match (&self.value, why) {
+            (Some(_), CallError::TimedOut) => "; what was to be written may have been written",
+            _ => "",
+        }
+    }
+
     /// It was not carried out.
     pub fn failed(&self, why: CallError, notation: &dyn Notation) -> ParameterError {
         let request = self.clone();
@@ -213,7 +221,7 @@ pub enum ParameterError {
         reason: String,
     },
     /// It was not carried out.
-    #[error("{request}: {why}")]
+    #[error("{request}: {why}{}", request.left_open(*why))]
     Failed {
         /// The access.
         request: Request,
