@@ -24,17 +24,17 @@ pub const DIAGNOSIS: [Row; 7] = [
         remedy: "look whether another program or device sends from its address to UDP port 2222",
     },
     Row {
-        symptom: "`wrong_connection` is a quarter of `missed`",
-        holds: |of| comes(of, own(of, Own::WrongConnection)),
-        says: "its packets are those of another connection",
-        remedy: "end the other originator, or give this one another originator",
-    },
-    Row {
         symptom: "`late` and `duplicate` are a quarter of `missed`",
         holds: |of| comes(of, of.counters.late + of.counters.duplicate),
         says: "its packets have numbers that were there before",
         remedy: "look whether the network delivers old packets again, and whether the drive counts its \
                  packets",
+    },
+    Row {
+        symptom: "`wrong_connection` is most of `missed`",
+        holds: |of| of.mostly(own(of, Own::WrongConnection)),
+        says: "its packets are those of another connection",
+        remedy: "end the other originator, or give this one another originator",
     },
     Row {
         symptom: "`missed` or `timed_out`, and nothing was ever answered",
