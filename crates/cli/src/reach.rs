@@ -162,7 +162,8 @@ fn alone(plan: &Plan, drive: &str, interrupt: &Interrupt) -> Result<Way, Stop> {
             steps.push(why.clone());
             since = Instant::now();
         }
-        if since.elapsed() > PATIENCE {
+        // Without a reason so far, its first bring-up may take longer.
+        if since.elapsed() > PATIENCE && (why.is_some() || begun.elapsed() > BRING_UP) {
             let why = why.as_deref().unwrap_or(NOT_YET);
             return Err(Stop::failed(format!("drive {drive} cannot be reached: {why}")));
         }
