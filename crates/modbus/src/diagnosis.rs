@@ -27,6 +27,14 @@ pub(crate) const REFUSED: Row = Row {
     remedy: "look at addressing and map.status, and at unit if it is behind a gateway",
 };
 
+/// The handshake received an exception of a gateway.
+pub(crate) const UNREACHED: Row = Row {
+    symptom: "exception 0Ah or 0Bh in the handshake",
+    holds: NOTED,
+    says: "the gateway in front of it does not reach it",
+    remedy: "correct unit, or look at what is behind the gateway",
+};
+
 /// The handshake was answered, and did not end in its time.
 pub(crate) const SLOW: Row = Row {
     symptom: "answers in the handshake, and none of an exchange or none in its time",
@@ -36,7 +44,7 @@ pub(crate) const SLOW: Row = Row {
 };
 
 /// The most specific symptoms first.
-pub const DIAGNOSIS: [Row; 7] = [
+pub const DIAGNOSIS: [Row; 8] = [
     Row {
         symptom: "`wrong_unit` is most of `missed`",
         holds: |of| of.mostly(own(of, Own::WrongUnit)),
@@ -45,6 +53,7 @@ pub const DIAGNOSIS: [Row; 7] = [
     },
     MISFIT,
     WRONG_ID,
+    UNREACHED,
     REFUSED,
     Row {
         symptom: "`late` is most of `missed`, more than `given_up`, and more than one",

@@ -14,7 +14,7 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use super::diagnosis::{MISFIT, REFUSED, SLOW, WRONG_ID};
+use super::diagnosis::{MISFIT, REFUSED, SLOW, UNREACHED, WRONG_ID};
 use super::mapping::{Block, Image, Mapping, Role};
 use super::parameter::{DRIVE_UNIT, Parameter, Width};
 use super::plan::UnidriveDrive;
@@ -264,7 +264,8 @@ impl UnidriveHandshake {
             self.is_mistaken = self.is_open;
             return HandshakeState::More;
         }
-        HandshakeState::Failed(WRONG_ID.with(&format_args!("{} in place of {open}", header.transaction)))
+        // Without the numbers, so that it is the same line each time.
+        HandshakeState::Failed(WRONG_ID.to_string())
     }
 
     /// Takes the answer of the present step, and continues with the next one.
@@ -281,6 +282,9 @@ impl UnidriveHandshake {
             (Step::Unit, Some(_)) if self.unit + 1 < self.units.len() => {
                 self.unit += 1;
                 Some(Step::Unit)
+            }
+            (Step::Unit, Some(code @ (ExceptionCode::NO_PATH | ExceptionCode::NO_RESPONSE))) => {
+                return HandshakeState::Failed(UNREACHED.with(&code));
             }
             (Step::Unit, Some(code)) => {
                 return HandshakeState::Failed(REFUSED.with(&code));
