@@ -441,3 +441,19 @@ pub fn count(text: &str, decimals: u32) -> Option<i64> {
     let number: i64 = format!("{whole}{part}").parse().ok()?;
     number.checked_mul(10_i64.pow(decimals - places))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_a_write_that_was_not_finished_in_time_may_have_been_done() {
+        let done = |request: Request, why| {
+            request.failed(why, &Numbers).to_string().contains("may have been written")
+        };
+        let write = || Request::write("x", "1", "2".to_owned());
+        assert!(done(write(), CallError::TimedOut));
+        assert!(!done(write(), CallError::NotOnline));
+        assert!(!done(Request::read("x", "1"), CallError::TimedOut));
+    }
+}
