@@ -182,7 +182,7 @@ impl StartUp {
             // It does not say what it wants.
             return self.again(false);
         }
-        // Whoever comes back may be another one, or set up anew.
+        // Whoever comes back may be another one, or set up otherwise.
         (self.refusals, self.not_before) = (0, Time(0));
         self.refuse(Note::Absent);
     }

@@ -2,7 +2,7 @@
 //!
 //! It is read while the link is down, by the probes that go out anyway, before any reply counts: until then the drive
 //! is not connected, and nothing is written to it. The command has an own count in each attempt, and is one that a
-//! drive carries out at any time. After each loss of the link the number is read anew: the drive may be another one.
+//! drive carries out at any time. After each loss of the link the number is read again: the drive may be another one.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};

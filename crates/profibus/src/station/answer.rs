@@ -12,7 +12,7 @@ use fieldbeat_core::bus::{Exchange, Slot};
 use fieldbeat_core::time::Time;
 
 /// So many refusals (UE, RR) in a row, behind which its diagnosis shows nothing, end Data_Exchange: the drive is
-/// parametrised anew.
+/// parametrised again.
 const MOST_REFUSED: u8 = 20;
 
 impl Station {
