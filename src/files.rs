@@ -22,8 +22,8 @@ pub mod doctor {
 
     #[doc(inline)]
     pub use fieldbeat_doctor::{
-        Area, Carried, Carries, Counts, Effort, Factor, Finding, Glance, Host, Latency, Line, MOST_DISTURBED,
-        Measured, Noise, Port, Progress, Report, Subject, Untried, Verdict, Wire, examine, glance, measure,
+        Area, Carried, Carries, Counts, Effort, Factor, Finding, Glance, Host, Latency, Line, Measured,
+        Noise, Port, Progress, Report, Subject, Untried, Verdict, Wire, examine, glance, measure,
     };
 }
 
@@ -104,8 +104,8 @@ pub mod telemetry {
 
         #[doc(inline)]
         pub use fieldbeat_record::summary::{
-            Bus, ClockNumbers, CycleNumbers, Drive, Found, Host, Late, LateCycle, ProtocolCounters,
-            RealtimeNumbers, ReferenceNumbers, Stages, Summary, Variable,
+            Bus, Carried, ClockNumbers, CycleNumbers, Drive, Found, Host, Late, LateCycle, ProtocolCounters,
+            RealtimeNumbers, ReferenceNumbers, Share, Stages, Summary, Variable,
         };
     }
 }

@@ -28,6 +28,9 @@ use fieldbeat_config::schema;
 use fieldbeat_core::bus::diagnosis::Row;
 use serde_json::Value;
 
+/// Lines of `[cycle]` by which the shares of a run are not judged.
+const UNJUDGED: &str = "max_late_share = 1.0\nmax_skipped_share = 1.0\nmax_unanswered_share = 1.0\n";
+
 /// The program as a user has it.
 const PROGRAM: &str = env!("CARGO_BIN_EXE_fieldbeat");
 
@@ -316,6 +319,8 @@ impl Drives {
             ("local:demo", format!("local:docs-{id}")),
         ];
         let text = fs::read_to_string(checkout("rt-config/demo.toml")).unwrap();
+        // On any host, whatever that carries.
+        let text = text.replace("[cycle]\n", &format!("[cycle]\n{UNJUDGED}"));
         fs::write(&config, names[1..].iter().fold(text, |text, (ours, theirs)| text.replace(ours, theirs)))
             .unwrap();
         let mut child = process::Command::new(PROGRAM)

@@ -70,7 +70,9 @@ use std::time::Duration;
 
 use fieldbeat::sim::server::SimServer;
 use serde_json::Value;
-use support::{Ended, LONG, PROGRAM, Program, assert_sums, bound, period, served, simulated, until};
+use support::{
+    Ended, LONG, PROGRAM, Program, UNJUDGED, assert_sums, bound, period, served, simulated, until,
+};
 
 const MS: Duration = Duration::from_millis(1);
 
@@ -97,7 +99,7 @@ fn limit_files(command: &mut Command, bytes: u64) -> &mut Command {
 fn patient_cycle() -> String {
     format!(
         "[cycle]\nperiod = \"{}\"\nreceive_deadline = 0.8\nmax_skip = \"30s\"\nmax_skip_rate = 1.0\n\
-         realtime = \"off\"\n",
+         {UNJUDGED}realtime = \"off\"\n",
         period()
     )
 }

@@ -76,9 +76,15 @@ fn the_demo_runs_by_itself_and_its_json_has_every_key() {
         }
     }
 
-    // The last line has what became of the light of the terminals: each pattern is seen before the next one is written.
+    // The last line judges the choice of the period.
+    let mut last = ended.err.lines().rev();
+    let verdict = if summary["carried"]["carried"] == true { "carried it" } else { "did not carry it" };
+    let judged = last.next().unwrap();
+    assert!(judged.starts_with("fieldbeat: cycle of ") && judged.contains(verdict), "{judged}");
+    // The line before has what became of the light of the terminals: each pattern is seen before the next one is
+    // written.
     assert_eq!(summary["devices"].as_array().unwrap().len(), 3, "{summary}");
-    let light = ended.err.lines().last().unwrap();
+    let light = last.next().unwrap();
     let counts: Vec<u64> = light.split(' ').filter_map(|word| word.parse().ok()).collect();
     let [written, seen] = counts[..] else { panic!("{light}") };
     let said = format!("fieldbeat: device outputs: {written} patterns written, {seen} seen at the inputs");
@@ -109,7 +115,9 @@ fn the_demo_runs_by_itself_and_its_json_has_every_key() {
     let mut want: Vec<String> =
         ["cycle cycle.period_ns cycle.planned cycle.executed cycle.skipped cycle.overruns cycle.reference \
          cycle.reference.bus cycle.reference.locked cycle.reference.losses cycle.reference.samples \
-         cycle.reference.silent cycle.reference.error_ns cycle.reference.step_max_ns wake_ns jitter_ns \
+         cycle.reference.silent carried carried.carried carried.period_ns carried.shares carried.shares.what \
+         carried.shares.count carried.shares.of carried.shares.tolerated carried.shares.drive \
+         carried.would_be_ns carried.realtime cycle.reference.error_ns cycle.reference.step_max_ns wake_ns jitter_ns \
          stages_ns stages_ns.send stages_ns.receive stages_ns.evaluate stages_ns.commands stages_ns.prepare \
          stages_ns.publish late late.threshold_ns late.count late.causes late.newest black_boxes recordings \
          failures drives drives.name drives.protocol drives.link drives.not_connected drives.diagnosis \

@@ -4,6 +4,7 @@ use std::collections::BTreeSet;
 use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 use std::process::Command;
+use std::time::Duration;
 
 use fieldbeat::time::Ns;
 use libc::SIGINT;
@@ -13,7 +14,8 @@ use super::support::{
     Ended, LONG, Machine, PROGRAM, Program, as_ordinary_user, assert_sums, carried, command, drive, until,
 };
 use super::{
-    assert_silent, await_status, end_once_measured, end_once_online, limit_files, master, serve, socket,
+    assert_silent, await_status, end_once_measured, end_once_online, limit_files, master, online, serve,
+    socket,
 };
 
 const FILES: [&str; 3] = ["index.html", "run.json", "summary.json"];
@@ -269,4 +271,42 @@ fn a_disk_that_fills_up_meanwhile_ends_the_report_and_nothing_else() {
     let ended = master(&config, &["--for", "1s", "--report", place.to_str().unwrap()]).end();
     ended.refused(&["cannot write there: No space left on device"]);
     drop(disk);
+}
+
+#[test]
+fn a_run_with_more_skipped_slots_than_tolerated_is_not_carried_and_names_the_key() {
+    let machine = Machine::new(194);
+    let strict = |key: &str| machine.config("strict.toml", 1, key, "");
+    let config = strict("max_skipped_share = 0.0");
+    let _sim = serve(&config);
+    let run = |place: &str| {
+        let report = machine.path(place);
+        let program = online(&config, &["--json", "--report", report.to_str().unwrap()]);
+        // As a host that takes the processor away, for as long as 50 cycles.
+        program.hold();
+        std::thread::sleep(Duration::from_nanos(50 * carried()));
+        program.signal(libc::SIGCONT);
+        await_status(&config, |summary| summary["cycle"]["skipped"].as_u64() > Some(0));
+        program.signal(SIGINT);
+        (program.end(), texts(&read(&report, "index.html")))
+    };
+    let (ended, page) = run("skipped");
+    let ended = ended.expect(1);
+    let summary = ended.json();
+    let carried = &summary["carried"];
+    assert_eq!((carried["carried"] == false, carried["realtime"] == false), (true, true), "{carried}");
+    let share = &carried["shares"][1];
+    assert_eq!((&share["what"], &share["count"]), (&"skipped".into(), &summary["cycle"]["skipped"]));
+    assert!(
+        ended.err.contains("NOT CARRIED at ") && ended.err.contains("max_skipped_share = 1 judges"),
+        "{}",
+        ended.err
+    );
+    assert!(page.contains(&"failed".to_owned()), "{page:?}");
+    assert!(page.iter().any(|text| text.contains("NOT CARRIED at ")), "{page:?}");
+    // The same host, and nothing judged.
+    strict("max_skipped_share = 1.0");
+    let (ended, page) = run("unjudged");
+    assert_eq!(ended.expect(0).json()["carried"]["carried"], true);
+    assert!(page.contains(&"passed".to_owned()), "{page:?}");
 }

@@ -60,7 +60,8 @@ impl Run {
         let (summary, printed) = output.finish(master);
         // Requested to end before the drives were there, it is not the run that failed.
         let whole = summary.is_whole() || (interrupt.is_set() && !summary.has_failed());
-        both(printed, if whole { Ok(()) } else { Err(not_whole(&summary)) })
+        let verdict = if whole { Ok(()) } else { Err(not_whole(&summary)) };
+        both(printed, both(verdict, summary.carried.failure().map_or(Ok(()), |why| Err(Stop::failed(why)))))
     }
 }
 

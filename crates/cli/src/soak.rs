@@ -14,6 +14,7 @@ use fieldbeat_record::Summary;
 use fieldbeat_record::archive::Archive;
 use fieldbeat_record::compare::{compare, differences};
 use fieldbeat_record::report::earlier_run;
+use fieldbeat_record::summary::Carried;
 use fieldbeat_soak::Soak;
 use fieldbeat_soak::criteria::{Judged, judge};
 use fieldbeat_soak::directory::{Directory, Writer, page, ran};
@@ -101,16 +102,19 @@ impl SoakTest {
         let every_ns = nanos(self.checkpoint).max(S / 10);
         let mut test = Test { master, handler, soak, progress, is_resumed: !is_new, writer, every_ns };
         let moved = test.run(self.fail_fast, &interrupt)?;
+        let cycle = test.soak.cycle.clone();
         let Ended { progress, judged, summary, writer } = test.finish(&moved);
-        let page = page(&progress, &judged, &earlier, &texts);
+        let carried = progress.run.as_ref().map(|run| Carried::of_archive(&cycle, run));
+        let page = page(&progress, &judged, &earlier, &texts, carried.as_ref());
         let written = writer.finish(progress.clone(), page).map_err(Stop::failed);
         let report = written.is_ok().then(|| directory.page());
         let printed = if self.json {
-            print(object(&progress, &judged, &earlier, (directory.path(), report), &summary))
+            print(object(&progress, &judged, &earlier, (directory.path(), report), &summary, &carried))
         } else {
-            print(lines(&progress, &judged, &earlier, report))
+            print(lines(&progress, &judged, &earlier, report, &carried))
         };
         let failed: Vec<String> = judged.iter().filter(|one| !one.passed).map(Judged::line).collect();
+        let failed: Vec<String> = failed.into_iter().chain(carried.and_then(|of| of.failure())).collect();
         let verdict = if failed.is_empty() { Ok(()) } else { Err(Stop::failed(failed.join("\n"))) };
         both(both(printed, written), verdict)
     }
@@ -259,6 +263,7 @@ fn lines(
     judged: &[Judged],
     earlier: &[(String, Archive)],
     report: Option<PathBuf>,
+    carried: &Option<Carried>,
 ) -> String {
     let failed = judged.iter().filter(|one| !one.passed).count();
     let mut text = match failed {
@@ -286,6 +291,9 @@ fn lines(
     if let Some(report) = report {
         text += &format!("report: {}\n", report.display());
     }
+    if let Some(carried) = carried {
+        text += &format!("{carried}\n");
+    }
     text.trim_end().to_owned()
 }
 
@@ -296,6 +304,7 @@ fn object(
     earlier: &[(String, Archive)],
     (directory, report): (&Path, Option<PathBuf>),
     summary: &Summary,
+    carried: &Option<Carried>,
 ) -> Value {
     let compared: Vec<Value> = (earlier.iter())
         .map(|(name, run)| {
@@ -315,6 +324,7 @@ fn object(
         "processes": progress.processes,
         "axes": progress.axes,
         "criteria": judged,
+        "carried": carried,
         "compared": compared,
         "directory": directory,
         "report": report,

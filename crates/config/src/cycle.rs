@@ -3,7 +3,7 @@
 use std::ops::RangeInclusive;
 
 use fieldbeat_core::bus::BusPlan;
-use fieldbeat_core::cycle::{CyclePlan, Guard, Overrun, Wait, WatchAfter};
+use fieldbeat_core::cycle::{CyclePlan, Guard, Overrun, Shares, Wait, WatchAfter};
 use fieldbeat_core::rt::{Memory, Realtime};
 use fieldbeat_core::time::{Ns, S, US};
 use fieldbeat_keys::form::Form;
@@ -47,6 +47,12 @@ pub(super) fn cycle(table: &mut Table<'_>) -> CyclePlan {
                 "the largest share of the last 100 slots that may be skipped; 1.0 is not watched",
             )
             .unwrap_or(default.max_skip_rate),
+        tolerated: Shares {
+            late: share(table, "max_late_share", "late cycles").unwrap_or(default.tolerated.late),
+            skipped: share(table, "max_skipped_share", "skipped slots").unwrap_or(default.tolerated.skipped),
+            unanswered: share(table, "max_unanswered_share", "unanswered exchanges of a drive")
+                .unwrap_or(default.tolerated.unanswered),
+        },
         realtime: table.word("realtime", &REALTIMES).unwrap_or(default.realtime),
         memory: table.word("memory", &MEMORIES).unwrap_or(default.memory),
         task_budget_ns: table.time("task_budget", US..=period_ns, "the in-loop task runs once a cycle"),
@@ -94,6 +100,13 @@ pub(super) fn check_reference(root: &Table<'_>, cycle: &CyclePlan, buses: &[Box<
         names => format!("use {}", alternatives(names.iter().copied())),
     };
     root.fault("cycle.reference", format!("{what}; {remedy}"));
+}
+
+/// The share of `what` up to which a period counts as carried.
+fn share(table: &mut Table<'_>, key: &'static str, what: &str) -> Option<f64> {
+    let hint =
+        format!("the largest share of {what} with which the period counts as carried; 1.0 judges none");
+    table.number(key, 0.0..=1.0, &hint)
 }
 
 fn guard(table: &mut Table<'_>) -> Option<Guard> {

@@ -7,7 +7,7 @@ use fieldbeat_core::bus::BusPlan;
 use fieldbeat_core::bus::desired::{Capabilities, Generator, Velocities};
 use fieldbeat_core::cycle::bound::{Pace, Paced, bound, group, paced, silence};
 use fieldbeat_core::cycle::record::Record;
-use fieldbeat_core::cycle::{CyclePlan, Guard, Overrun, Plan, Wait};
+use fieldbeat_core::cycle::{CyclePlan, Guard, Overrun, Plan, Shares, Wait};
 
 use fieldbeat_core::rt::{Memory, Realtime};
 use fieldbeat_core::time::{Ns, S, nanos};
@@ -89,6 +89,22 @@ fn count(number: usize, what: &str) -> String {
     format!("{number} {what}{plural}")
 }
 
+/// The shares with which a run counts as carried.
+fn tolerated(Shares { late, skipped, unanswered }: Shares) -> String {
+    let shares = [
+        (late, "of the cycles late"),
+        (skipped, "skipped"),
+        (unanswered, "of a drive's exchanges unanswered"),
+    ];
+    let judged = shares.into_iter().filter(|(share, _)| *share < 1.0);
+    let judged: Vec<String> = judged.map(|(share, of)| format!("{} % {of}", 100.0 * share)).collect();
+    if judged.is_empty() {
+        "any share of late cycles".to_owned()
+    } else {
+        format!("at most {}", judged.join(", "))
+    }
+}
+
 fn cycle(cycle: &CyclePlan) -> Vec<String> {
     let core = cycle.core.map_or("the last core".to_owned(), |core| format!("core {core}"));
     let memory = match cycle.memory {
@@ -128,6 +144,7 @@ fn cycle(cycle: &CyclePlan) -> Vec<String> {
         ),
         format!("  wakes {guard}, takes replies by {wait} until {} into the cycle", Ns(cycle.deadline_ns())),
         format!("  an overrun {overrun}"),
+        format!("  carried with {}", tolerated(cycle.tolerated)),
     ];
     if let Some(budget) = cycle.task_budget_ns {
         lines.push(format!("  the in-loop task has {} a cycle, more stops all axes", Ns(budget)));

@@ -4,7 +4,7 @@ use toml::de::DeValue;
 
 use fieldbeat_core::axis::limits::{check_command, check_row};
 use fieldbeat_core::axis::{AxisPlan, Command, Failure, Jog, Lacks, Move, Profile, Row, Target, Unit};
-use fieldbeat_core::cycle::Plan;
+use fieldbeat_core::cycle::{CyclePlan, Plan};
 use fieldbeat_core::time::{MS, Ns, S, nanos};
 use fieldbeat_keys::form::{Form, Range};
 use fieldbeat_keys::table::{POSITIVE, Table, number, set};
@@ -16,6 +16,8 @@ pub struct SoakPlan {
     pub axes: Vec<AxisSoak>,
     /// What it has to keep to.
     pub criteria: Criteria,
+    /// The cycle, and what of it is tolerated.
+    pub cycle: CyclePlan,
 }
 
 /// What becomes of one axis.
@@ -180,7 +182,7 @@ pub(super) fn soak(table: &mut Table<'_>, plan: &Plan) -> SoakPlan {
         table.finish();
     }
     let criteria = table.table("criteria", criteria);
-    SoakPlan { axes, criteria }
+    SoakPlan { axes, criteria, cycle: plan.cycle.clone() }
 }
 
 /// The axes, and what their drives do not do.

@@ -46,8 +46,7 @@ pub use way::{Line, Port, Wire};
 
 pub use finding::{Area, Finding, Verdict};
 pub use measure::{
-    Carries, Effort, Factor, Glance, Latency, MOST_DISTURBED, Measured, Noise, Progress, Untried, glance,
-    measure,
+    Carries, Effort, Factor, Glance, Latency, Measured, Noise, Progress, Untried, glance, measure,
 };
 pub use report::{Carried, Counts, Host, Report};
 

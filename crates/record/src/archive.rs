@@ -10,7 +10,7 @@ use std::time::SystemTime;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use crate::summary::Summary;
+use crate::summary::{Summary, late_by_loop};
 use fieldbeat_core::axis::{Fault, FaultNames};
 use fieldbeat_core::cycle::Plan;
 use fieldbeat_core::cycle::record::Stage;
@@ -90,6 +90,9 @@ pub struct Counts {
     pub overruns: u64,
     /// Late cycles.
     pub late: u64,
+    /// Those of them that were late by something else than a drive that did not answer.
+    #[serde(default)]
+    pub late_by_loop: u64,
     /// Exchanges missed by all drives.
     pub missed: u64,
     /// Telemetry records lost.
@@ -189,6 +192,9 @@ pub struct Exchanges {
     pub rejected: u64,
     /// Refused by the operating system.
     pub unsent: u64,
+    /// Missed or not sent while it was online.
+    #[serde(default)]
+    pub unanswered_online: u64,
 }
 
 /// Why a file is no run to compare with. The message ends with the remedy.
@@ -251,6 +257,7 @@ impl Archive {
                 skipped: status.skipped,
                 overruns: status.overruns,
                 late: status.late,
+                late_by_loop: late_by_loop(status.late, &measured.causes),
                 missed: status.missed,
                 lost_records: status.lost_records,
                 lost_events: status.lost_events,
@@ -286,6 +293,7 @@ impl Archive {
                         duplicate: drive.duplicate,
                         rejected: drive.rejected,
                         unsent: drive.unsent,
+                        unanswered_online: measured.unanswered,
                     },
                     rtt: Sampled::of(&measured.rtt, end.peaks.rtt),
                     motion: motion.clone(),
@@ -380,6 +388,7 @@ impl Counts {
         self.skipped += later.skipped;
         self.overruns += later.overruns;
         self.late += later.late;
+        self.late_by_loop += later.late_by_loop;
         self.missed += later.missed;
         self.lost_records += later.lost_records;
         self.lost_events += later.lost_events;
@@ -415,6 +424,7 @@ impl Drive {
         one.duplicate += other.duplicate;
         one.rejected += other.rejected;
         one.unsent += other.unsent;
+        one.unanswered_online += other.unanswered_online;
         self.rtt.append(begin, &later.rtt);
         self.motion.append(begin, &later.motion);
     }

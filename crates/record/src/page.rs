@@ -7,7 +7,7 @@ use super::archive::{Archive, Drive};
 use super::compare::{Verdict, compare, differences, percent, significant};
 use super::plots::chart::escape;
 use super::plots::{motion, percentiles, timeline, wake};
-use super::summary::plural;
+use super::summary::{Carried, plural};
 use fieldbeat_core::time::{MS, Ns, three_digits};
 use fieldbeat_telemetry::motion::Mark;
 use fieldbeat_telemetry::{Quantiles, Stage};
@@ -57,6 +57,8 @@ pub struct Page<'a> {
     pub verdict: String,
     /// Earlier runs, by their names.
     pub earlier: &'a [(String, Archive)],
+    /// Whether its period was carried.
+    pub carried: Option<&'a Carried>,
     /// What comes before the plots.
     pub tables: Vec<Table>,
     /// Texts at the end: titles, and lines.
@@ -80,6 +82,10 @@ impl Page<'_> {
             writeln!(html, "<p class=\"facts\">{}<br/>{}</p>", escape(&self.facts()), escape(&self.host()));
         let (class, word) = if self.passed { ("", "passed") } else { (" bad", "failed") };
         let _ = writeln!(html, "<p class=\"verdict{class}\"><b>{word}</b>{}</p>", escape(&self.verdict));
+        if let Some(carried) = self.carried {
+            let class = if carried.carried { "facts" } else { "warning" };
+            let _ = writeln!(html, "<p class=\"{class}\">{}</p>", escape(&carried.to_string()));
+        }
         for warning in self.warnings() {
             let _ = writeln!(html, "<p class=\"warning\">{}</p>", escape(&warning));
         }
@@ -406,7 +412,7 @@ mod tests {
     fn page(run: &Archive, earlier: &[(String, Archive)]) -> String {
         let texts = [("Configuration".to_owned(), "a < b".to_owned())];
         let verdict = "all \"well\"".to_owned();
-        Page { run, passed: true, verdict, earlier, tables: Vec::new(), texts: &texts }.html()
+        Page { run, passed: true, verdict, earlier, carried: None, tables: Vec::new(), texts: &texts }.html()
     }
 
     /// Every text of a page.

@@ -156,8 +156,9 @@ impl Report {
     fn page(&self, run: &Archive, summary: &Summary) -> String {
         let page = Page {
             run,
-            passed: summary.is_whole(),
+            passed: summary.is_whole() && summary.carried.carried,
             verdict: verdict(summary),
+            carried: Some(&summary.carried),
             earlier: &self.earlier,
             tables: Vec::new(),
             texts: &self.texts,

@@ -7,6 +7,7 @@ use fieldbeat_config::soak::SoakPlan;
 use fieldbeat_core::time::{Ns, US, three_digits};
 use fieldbeat_record::archive::Archive;
 use fieldbeat_record::compare::{percent, significant};
+use fieldbeat_record::summary::{Carried, Share};
 use fieldbeat_telemetry::bins::Bins;
 use fieldbeat_telemetry::parts::together;
 
@@ -45,6 +46,19 @@ impl Judged {
 
     fn count(criterion: &'static str, value: u64, limit: u64) -> Judged {
         Judged::new(criterion, Some(value as f64), limit as f64)
+    }
+
+    /// A share with which a period counts as carried, under the name of its key.
+    fn carried(share: &Share) -> Judged {
+        let criterion = match share.what {
+            "late" => "max_late_share",
+            "skipped" => "max_skipped_share",
+            _ => "max_unanswered_share",
+        };
+        let judged = Judged::share(criterion, Some(share.value()), share.tolerated);
+        let drive = share.drive.clone();
+        let note = format!("{} of {}", share.count, share.of);
+        Judged { passed: !share.is_exceeded(), drive, ..judged.note(note) }
     }
 
     fn of(self, drive: &str) -> Judged {
@@ -122,6 +136,8 @@ pub fn judge(plan: &SoakPlan, progress: &Progress, ended: bool) -> Vec<Judged> {
         }),
         given_up(run, progress),
     ];
+    let carried = Carried::of_archive(&plan.cycle, run);
+    all.extend(carried.shares.iter().map(Judged::carried));
     for drive in &run.drives {
         let sent = drive.exchanges.sent;
         let share = (sent > 0).then(|| drive.exchanges.missed as f64 / sent as f64);
@@ -235,7 +251,7 @@ mod tests {
     use super::*;
     use crate::progress::AxisProgress;
     use crate::samples::{Process, Sample};
-    use fieldbeat_config::soak::{AxisSoak, Criteria, Pattern};
+    use fieldbeat_config::soak::{AxisSoak, Pattern};
     use fieldbeat_core::time::S;
     use fieldbeat_record::Summary;
     use fieldbeat_telemetry::{Largest, Run};
@@ -258,7 +274,7 @@ mod tests {
         let samples =
             (0..100).map(|minute| Sample { at_ns: minute * 60 * S, memory_kb: 10_000, descriptors: 9 });
         progress.processes = vec![Process { samples: samples.collect(), ..Process::default() }];
-        (SoakPlan { axes, criteria: Criteria::default() }, progress)
+        (SoakPlan { axes, ..SoakPlan::default() }, progress)
     }
 
     /// The lines of the criteria that fail after `change`.

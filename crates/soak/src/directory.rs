@@ -23,6 +23,7 @@ use fieldbeat_record::archive::Archive;
 use fieldbeat_record::file::save;
 use fieldbeat_record::page::{Page, Row, Table, VERDICT, whole};
 use fieldbeat_record::report::CHECKPOINT;
+use fieldbeat_record::summary::Carried;
 
 const PAGE: &str = "index.html";
 const RUN: &str = "run.json";
@@ -293,6 +294,7 @@ pub fn page(
     judged: &[Judged],
     earlier: &[(String, Archive)],
     texts: &[(String, String)],
+    carried: Option<&Carried>,
 ) -> String {
     let Some(run) = &progress.run else { return String::new() };
     let failed: Vec<String> = judged.iter().filter(|one| !one.passed).map(Judged::line).collect();
@@ -301,7 +303,7 @@ pub fn page(
         failed => format!("over {}: {}", ran(progress), failed.join(" | ")),
     };
     let tables = vec![criteria(judged), axes(progress, run), processes(progress)];
-    Page { run, passed: failed.is_empty(), verdict, earlier, tables, texts }.html()
+    Page { run, passed: failed.is_empty(), verdict, carried, earlier, tables, texts }.html()
 }
 
 /// A gap, of which only whole seconds are known.

@@ -3,7 +3,7 @@
 use hdrhistogram::Histogram;
 
 use fieldbeat_core::cycle::record::{
-    CycleRecord, DriveRecord, Record, ReferenceRecord, SkippedRecord, Stage,
+    CycleRecord, DriveRecord, Record, ReferenceRecord, Reply, SkippedRecord, Stage,
 };
 use fieldbeat_core::cycle::status::Peak;
 use fieldbeat_core::time::MS;
@@ -107,12 +107,14 @@ pub struct DriveHistograms {
     pub send_jitter: Quantity,
     /// Age of its values whenever a window closed, while its link was up.
     pub age: Quantity,
+    /// Exchanges that were missed or not sent while it was online.
+    pub unanswered: u64,
 }
 
 impl DriveHistograms {
     fn new() -> DriveHistograms {
         let empty = || Quantity::new(DRIVE_DIGITS);
-        DriveHistograms { rtt: empty(), send_jitter: empty(), age: empty() }
+        DriveHistograms { rtt: empty(), send_jitter: empty(), age: empty(), unanswered: 0 }
     }
 }
 
@@ -139,8 +141,10 @@ impl Histograms {
     #[doc(hidden)]
     pub fn enter(&mut self, record: &Record, period_ns: u64) {
         match record {
-            Record::Drive(DriveRecord { axis, rtt_ns, jitter_ns, age_ns, .. }) => {
+            Record::Drive(DriveRecord { axis, rtt_ns, jitter_ns, age_ns, reply, was_online, .. }) => {
                 let Some(drive) = self.drives.get_mut(usize::from(*axis)) else { return };
+                let is_unanswered = matches!(reply, Reply::Missed | Reply::Unsent);
+                drive.unanswered += u64::from(is_unanswered && *was_online);
                 let measured =
                     [(&mut drive.rtt, rtt_ns), (&mut drive.send_jitter, jitter_ns), (&mut drive.age, age_ns)];
                 for (histogram, ns) in measured {

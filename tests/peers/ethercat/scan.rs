@@ -11,7 +11,7 @@ use fieldbeat_core::net::{Carriers, Os};
 use super::dissector::{APRD, APWR, Address, BRD, NOP, dissect, exchanges};
 use super::{ETHERTYPE, WIRE, at_master, cable, capture, segment, serve};
 use crate::capture;
-use crate::support::{Cable, Ended, LONG, Machine, PROGRAM, Program, command, until};
+use crate::support::{Cable, Ended, LONG, Machine, PROGRAM, Program, UNJUDGED, command, until};
 
 pub fn scan(cable: &Cable, options: &[&str]) -> Ended {
     let mut scan = Command::new(PROGRAM);
@@ -128,7 +128,7 @@ fn a_master_is_not_started_beside_another_one_and_one_that_comes_later_stops_it(
         format!(
             "[cycle]\nperiod = \"4ms\"\n\
              max_skip = \"30s\"\nmax_skip_rate = 1.0\n\
-             realtime = \"off\"\nreference = \"ethercat\"\n[[bus]]\nprotocol = \"ethercat\"\n\
+             {UNJUDGED}realtime = \"off\"\nreference = \"ethercat\"\n[[bus]]\nprotocol = \"ethercat\"\n\
              interface = \"{WIRE}\"\n[[bus.drive]]\nname = \"d1\"\nwatchdog = \"6s\"\nhealth = {{ bucket = \
              \"5s\", leak = 1 }}\n"
         ),

@@ -14,7 +14,7 @@ use serde_json::Value;
 
 use super::{ABSOLUTE, ENABLE, ENABLED, MOVING, drive, plan};
 use crate::peer::Peer;
-use crate::support::{LONG, Machine, PROGRAM, Program, checkout, run, until};
+use crate::support::{LONG, Machine, PROGRAM, Program, UNJUDGED, checkout, run, until};
 
 /// So many packets at least.
 const PACKETS: u64 = 500;
@@ -155,7 +155,7 @@ fn a_running_master_names_an_adapter_that_dies_and_opens_it_again_by_another_ser
     let machine = Machine::new(65);
     let config = format!(
         "[cycle]\nperiod = \"2ms\"\nreceive_deadline = 0.8\nmax_skip = \"30s\"\nmax_skip_rate = 1.0\n\
-         realtime = \"off\"\n[[bus]]\nprotocol = \"ethernet-ip\"\nbind = \"{}\"\n\
+         {UNJUDGED}realtime = \"off\"\n[[bus]]\nprotocol = \"ethernet-ip\"\nbind = \"{}\"\n\
          [[bus.drive]]\nname = \"m\"\naddress = \"{}\"\nversion = \"v2\"\nvendor = \"any\"\ndivisor = 5\n\
          fresh_within = \"500ms\"\nfirst_within = \"20s\"\nhealth = {{ bucket = \"1s\", leak = 1 }}\n\
          limits = {{ position = [-2, 60], velocity = 20, acceleration = 200 }}\n",

@@ -14,6 +14,8 @@ use fieldbeat_config::demo::{DEMO_PLACES, DEMO_STREAMS_UP_TO_NS, demo_plan};
 use fieldbeat_core::cycle::{CyclePlan, Plan};
 use fieldbeat_core::time::{MS, Ns, nanos};
 use fieldbeat_doctor::{Glance, glance};
+use fieldbeat_record::compare::percent;
+use fieldbeat_record::summary::Carried;
 use fieldbeat_sim::server::SimServer;
 use fieldbeat_telemetry::log::MachineOf;
 
@@ -89,6 +91,7 @@ impl Demo {
         let (summary, printed) = output.finish(show.master);
         let lit = show.light.map_or(Ok(()), |light| finish(&light, is_json));
         server.stop();
+        let judged = judge(&summary.carried, is_json);
         let verdict = match result {
             _ if summary.has_failed() => Err(not_whole(&summary)),
             Ok(()) | Err(Error::Over) if interrupt.is_set() || summary.is_whole() => Ok(()),
@@ -96,7 +99,7 @@ impl Demo {
             Err(error) if interrupt.is_set() && was_stopped(&error) => Ok(()),
             Err(error) => Err(Stop::failed(error)),
         };
-        both(both(printed, lit), verdict)
+        both(both(both(printed, lit), judged), verdict)
     }
 }
 
@@ -112,6 +115,24 @@ fn finish(light: &Light, is_json: bool) -> Result<(), Stop> {
     print(light)
 }
 
+/// Judges the period by the run, in the last line; behind JSON on standard error.
+fn judge(carried: &Carried, is_json: bool) -> Result<(), Stop> {
+    let period = Ns(carried.period_ns);
+    let line = match (carried.carried, carried.would_be_ns) {
+        (true, _) => format!("cycle of {period}: this host carried it"),
+        (false, None) => format!("cycle of {period}: this host did not carry it"),
+        (false, Some(longer)) => {
+            format!("cycle of {period}: this host did not carry it; {} would have been", Ns(longer))
+        }
+    };
+    let line = if carried.realtime { line } else { line + "; not real-time" };
+    if is_json {
+        complain(&line);
+        return Ok(());
+    }
+    print(line)
+}
+
 /// The requested period, or the shortest that this host carries; one line says why.
 fn period_ns(requested: Option<Duration>) -> Result<u64, Stop> {
     if let Some(period) = requested {
@@ -119,7 +140,7 @@ fn period_ns(requested: Option<Duration>) -> Result<u64, Stop> {
         demo_plan(1, nanos(period), 0).map_err(Stop::usage)?;
     }
     let seen = glance(&CyclePlan::default()).map_err(Stop::usage)?;
-    let carried = seen.shortest(&PERIODS_NS);
+    let carried = seen.shortest(&PERIODS_NS, CyclePlan::default().tolerated.unanswered);
     let Some(period) = requested else {
         complain(&chosen(&seen, carried));
         return Ok(carried);
@@ -175,7 +196,7 @@ struct Served {
 /// Why this period, and not a shorter one.
 fn chosen(seen: &Glance, period_ns: u64) -> String {
     let Some(shorter) = PERIODS_NS.iter().rev().find(|shorter| **shorter < period_ns) else {
-        return format!("cycle of {}: this host carries it", Ns(period_ns));
+        return format!("cycle of {}: this host carries it, as far as half a second shows", Ns(period_ns));
     };
     let streams = if period_ns > DEMO_STREAMS_UP_TO_NS { "; LinMots take no streams so slowly" } else { "" };
     format!(
@@ -190,10 +211,6 @@ fn chosen(seen: &Glance, period_ns: u64) -> String {
 
 fn holds_up(seen: &Glance) -> String {
     format!("holds threads up for as long as {:.1} ms", seen.longest_ns() as f64 / MS as f64)
-}
-
-fn percent(share: f64) -> String {
-    format!("{:.0} %", share * 100.0)
 }
 
 /// The names of the axes that follow streams, of those that only make moves, and of those that take velocities only.

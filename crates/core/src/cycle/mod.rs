@@ -36,4 +36,6 @@ pub mod task;
 pub mod watch;
 pub mod window;
 
-pub use plan::{CyclePlan, GroupPlan, Guard, Overrun, Plan, PlanErrors, Wait, WatchAfter, starvation};
+pub use plan::{
+    CyclePlan, GroupPlan, Guard, Overrun, Plan, PlanErrors, Shares, Wait, WatchAfter, starvation,
+};

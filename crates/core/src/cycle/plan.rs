@@ -55,8 +55,9 @@ impl Plan {
     #[doc(hidden)]
     pub fn resolved(&self) -> String {
         let Plan { source: _, cycle, buses, groups } = self;
-        // What a recording has besides changes nothing of the run.
-        let cycle = CyclePlan { record_native: Vec::new(), ..cycle.clone() };
+        // What is recorded as well, and how a run is judged, changes nothing of it.
+        let tolerated = CyclePlan::default().tolerated;
+        let cycle = CyclePlan { record_native: Vec::new(), tolerated, ..cycle.clone() };
         format!("{cycle:#?}\n{buses:#?}\n{groups:#?}\n")
     }
 
@@ -132,6 +133,11 @@ impl Plan {
         let rate = self.cycle.max_skip_rate;
         if !(0.0..=1.0).contains(&rate) {
             errors.push(format!("cycle: a max_skip_rate of {rate} is not a share, 0 ... 1"));
+        }
+        let Shares { late, skipped, unanswered } = self.cycle.tolerated;
+        let shares = [("late_share", late), ("skipped_share", skipped), ("unanswered_share", unanswered)];
+        for (key, share) in shares.into_iter().filter(|(_, share)| !(0.0..=1.0).contains(share)) {
+            errors.push(format!("cycle: a max_{key} of {share} is not a share, 0 ... 1"));
         }
         if let WatchAfter::Fixed(ns) = self.cycle.watch_after {
             let range = CyclePlan::watch_range_ns(self.cycle.period_ns);
@@ -345,6 +351,8 @@ pub struct CyclePlan {
     pub overrun: Overrun,
     /// With [`Overrun::Skip`], a larger share of the last 100 slots skipped is a stop, 0 ... 1. 1 = not watched.
     pub max_skip_rate: f64,
+    /// With larger shares than these of its cycles, slots and exchanges the period counts as not carried.
+    pub tolerated: Shares,
     /// The bus whose clock leads the grid, by name. `None` = ours does.
     pub reference: Option<String>,
     /// Whether real-time scheduling is required.
@@ -365,6 +373,17 @@ pub struct CyclePlan {
     /// The drives whose native process data the loop reports, by name; `all` is each of them. A recorder sets it.
     #[doc(hidden)]
     pub record_native: Vec<String>,
+}
+
+/// What of a run was not as planned, 0 ... 1 each.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Shares {
+    /// Cycles that began late or spent long in a stage, of those executed; see [`CyclePlan::late_ns`].
+    pub late: f64,
+    /// Slots skipped, of all.
+    pub skipped: f64,
+    /// Exchanges that were missed or not sent while the drive was online, of the drive with most of them.
+    pub unanswered: f64,
 }
 
 impl CyclePlan {
@@ -413,6 +432,7 @@ impl Default for CyclePlan {
             wait: Wait::Poll,
             overrun: Overrun::Skip { max_skip: 10 },
             max_skip_rate: 0.2,
+            tolerated: Shares { late: 0.1, skipped: 0.01, unanswered: 0.01 },
             reference: None,
             realtime: Realtime::Prefer,
             memory: Memory::Process,

@@ -23,9 +23,6 @@ const SAMPLES: u64 = 1_000;
 /// for their own work, and for the receive window.
 const TOLERATED: f64 = 0.5;
 
-/// A period is carried if at most this share of its cycles is disturbed.
-pub const MOST_DISTURBED: f64 = 0.2;
-
 /// How long threads of this host were held up.
 #[derive(Clone, Debug)]
 pub struct Glance {
@@ -81,10 +78,10 @@ impl Glance {
         self.fifo
     }
 
-    /// The first of `periods_ns`, shortest first, that this host carries: at most [`MOST_DISTURBED`] of its cycles are
+    /// The first of `periods_ns`, shortest first, that this host carries: at most this share of its cycles is
     /// disturbed. The last one if it carries none of them.
-    pub fn shortest(&self, periods_ns: &[u64]) -> u64 {
-        let carried = periods_ns.iter().find(|period| self.disturbed(**period) <= MOST_DISTURBED);
+    pub fn shortest(&self, periods_ns: &[u64], most_disturbed: f64) -> u64 {
+        let carried = periods_ns.iter().find(|period| self.disturbed(**period) <= most_disturbed);
         carried.or(periods_ns.last()).copied().unwrap_or(MS)
     }
 }
@@ -102,7 +99,10 @@ mod tests {
     #[test]
     fn the_period_grows_until_few_cycles_are_disturbed() {
         let quiet = waiting([40 * US; 1_000]);
-        assert_eq!((quiet.shortest(&PERIODS), quiet.disturbed(MS), quiet.longest_ns()), (MS, 0.0, 40 * US));
+        assert_eq!(
+            (quiet.shortest(&PERIODS, 0.2), quiet.disturbed(MS), quiet.longest_ns()),
+            (MS, 0.0, 40 * US)
+        );
         // A third of the time waits of 1.5 ms, a tenth of it waits of 20 ms.
         let waits = (0..1_000_u64).map(|n| match n % 30 {
             0..10 => 1_500 * US,
@@ -111,9 +111,10 @@ mod tests {
         });
         let busy = waiting(waits);
         assert!((0.42..0.45).contains(&busy.disturbed(2 * MS)), "{}", busy.disturbed(2 * MS));
-        assert_eq!((busy.shortest(&PERIODS), busy.longest_ns()), (4 * MS, 20 * MS));
+        assert_eq!((busy.shortest(&PERIODS, 0.2), busy.longest_ns()), (4 * MS, 20 * MS));
         // One that carries nothing is given the longest one.
-        assert_eq!(waiting([100 * MS; 10]).shortest(&PERIODS), 8 * MS);
+        assert_eq!((busy.shortest(&PERIODS, 0.5), busy.shortest(&PERIODS, 0.01)), (MS, 8 * MS));
+        assert_eq!(waiting([100 * MS; 10]).shortest(&PERIODS, 0.2), 8 * MS);
     }
 
     #[test]

@@ -17,7 +17,7 @@ mod results;
 mod setting;
 mod slice;
 
-pub use glance::{Glance, MOST_DISTURBED, glance};
+pub use glance::{Glance, glance};
 
 use self::findings::{HELPS, HURTS};
 pub(super) use self::findings::{percent, word};

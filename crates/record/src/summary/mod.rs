@@ -1,6 +1,7 @@
 //! A run in numbers: the object that `--json` prints, and the same as text.
 
 mod bus;
+mod carried;
 mod cycle;
 mod drive;
 mod late;
@@ -11,6 +12,9 @@ use serde::{Deserialize, Serialize};
 
 pub(super) use self::bus::loads;
 pub use self::bus::{Bus, ClockNumbers};
+pub(crate) use self::carried::late_by_loop;
+pub use self::carried::{Carried, Share};
+use self::carried::{Course, bins, is_realtime};
 pub use self::cycle::{CycleNumbers, ReferenceNumbers, Stages};
 pub use self::drive::{Drive, Variable};
 pub use self::late::named;
@@ -51,6 +55,8 @@ impl From<&Monitor> for Summary {
 pub struct Summary {
     /// The cycle.
     pub cycle: CycleNumbers,
+    /// Whether the host carried its period.
+    pub carried: Carried,
     /// Wake-up latency: start of the cycles after their grid points; skipped slots count as late ones.
     pub wake_ns: Quantiles,
     /// Differences between the distance of two successive begins and that of their grid points.
@@ -222,7 +228,24 @@ impl Summary {
                 clock: clock.map(|clock| ClockNumbers::of(clock, leads(name))),
             })
             .collect();
+        let (wake, stages) = bins(histograms);
+        let exchanges = numbers
+            .drives
+            .iter()
+            .zip(&histograms.drives)
+            .map(|(drive, measured)| (drive.name.as_str(), drive.counters.answered, measured.unanswered));
+        let course = Course {
+            planned: status.planned,
+            executed: status.executed,
+            skipped: status.skipped,
+            late: late_by_loop(status.late, &measured.causes),
+            drives: exchanges.collect(),
+            wake,
+            stages,
+            realtime: is_realtime(granted.policy, &granted.missing),
+        };
         Summary {
+            carried: Carried::of(&plan.cycle, &course),
             cycle: CycleNumbers {
                 period_ns: plan.cycle.period_ns,
                 planned: status.planned,
@@ -299,7 +322,8 @@ impl Summary {
         (!axes.is_empty()).then(|| axes.join(", "))
     }
 
-    /// Whether every drive answered, none was lost on the way or stopped, and the program itself did not fail.
+    /// Whether every drive answered, none was lost on the way or stopped, and the program itself did not fail. Whether
+    /// the host [carried](Self::carried) the period is another question.
     pub fn is_whole(&self) -> bool {
         !self.has_failed() && self.drives.iter().all(Drive::is_online)
     }

@@ -209,7 +209,8 @@ impl Summary {
                 writeln!(f, "  {line}")?;
             }
         }
-        Ok(())
+        let carried = &self.carried;
+        writeln!(f, "{}", paint(&carried.to_string(), BAD, !carried.carried && f.alternate()))
     }
 }
 

@@ -181,7 +181,7 @@ fn axes_move_by_their_patterns_and_a_test_that_goes_on_adds_up() {
     assert_eq!(progress.processes[1].from_ns, 60 * S);
     assert!(progress.axes[0].cycles >= 2 * moves[0] - 2, "{:?}", progress.axes);
     // The page and the file that a later test is compared with.
-    let html = page(&progress, &judged, &[("before".to_owned(), run.clone())], &[]);
+    let html = page(&progress, &judged, &[("before".to_owned(), run.clone())], &[], None);
     assert!(html.contains("in 2 processes") && html.contains("Compared with before"));
     Archive::parse(&run.to_json(), Path::new("run.json")).unwrap();
 }
@@ -341,7 +341,7 @@ fn a_day_of_machine_time() {
     }
     let (progress, judged) = test.finish();
     let growth = judged.iter().find(|one| one.criterion == "memory_growth").unwrap();
-    let page = page(&progress, &judged, &[], &[]).len();
+    let page = page(&progress, &judged, &[], &[], None).len();
     println!("memory_growth {:?} MB, checkpoint {largest} bytes, page {page} bytes", growth.value);
     assert_eq!(failed(&judged), Vec::<String>::new());
     assert!(growth.value.is_some() && largest < 1_000_000 && page < 400_000);

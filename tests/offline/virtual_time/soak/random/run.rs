@@ -6,7 +6,7 @@ use fastrand::Rng;
 use fieldbeat::Flow;
 use fieldbeat::axis::Link;
 use fieldbeat::time::{MS, S};
-use fieldbeat_config::soak::{AxisSoak, Criteria, Pattern, SoakPlan};
+use fieldbeat_config::soak::{AxisSoak, Pattern, SoakPlan};
 use fieldbeat_soak::Soak;
 use fieldbeat_soak::criteria::judge;
 use fieldbeat_soak::progress::{AxisProgress, Progress};
@@ -107,7 +107,7 @@ fn soak_plan(machine: &Machine, patterns: &[Pattern]) -> SoakPlan {
         pattern: pattern.clone(),
         following_error: None,
     };
-    SoakPlan { axes: machine.plans.iter().zip(patterns).map(axis).collect(), criteria: Criteria::default() }
+    SoakPlan { axes: machine.plans.iter().zip(patterns).map(axis).collect(), ..SoakPlan::default() }
 }
 
 fn soak(machine: &mut Machine, plan: &SoakPlan) -> Soak {
