@@ -22,8 +22,8 @@ pub mod doctor {
 
     #[doc(inline)]
     pub use fieldbeat_doctor::{
-        Area, Carried, Carries, Counts, Effort, Factor, Finding, Glance, Host, Latency, Line, Measured,
-        Noise, Port, Progress, Report, Subject, Untried, Verdict, Wire, examine, glance, measure,
+        Area, Carried, Carries, CostOf, Counts, Effort, Factor, Finding, Glance, Host, Latency, Line,
+        Measured, Noise, Port, Progress, Report, Subject, Untried, Verdict, Wire, examine, glance, measure,
     };
 }
 

@@ -235,7 +235,9 @@ pub use fieldbeat_core::cycle::engine::Flow;
 #[doc(inline)]
 pub use fieldbeat_core::cycle::task::Axes;
 #[doc(inline)]
-pub use fieldbeat_core::cycle::{CyclePlan, GroupPlan, Guard, Overrun, PlanErrors, Shares, Wait, WatchAfter};
+pub use fieldbeat_core::cycle::{
+    CyclePlan, GroupPlan, Guard, OnCost, Overrun, PlanErrors, Shares, Wait, WatchAfter,
+};
 #[doc(inline)]
 pub use fieldbeat_core::rt::{Granted, Memory, Realtime, RealtimeError};
 /// # Example

@@ -118,6 +118,8 @@ fn a_user_without_rights_is_told_and_measures_all_the_same_by_keys_that_are_stab
     have.dedup();
     let want = "counts.bad counts.good counts.poor counts.unknown findings.area findings.fix findings.found \
          findings.name findings.undo findings.verdict findings.wanted findings.why host.cpu host.kernel \
+         measured.costs.exchanges_ns.datagram measured.costs.exchanges_ns.frame \
+         measured.costs.exchanges_ns.stream measured.costs.exchanges_ns.telegram \
          measured.factors.fix measured.factors.name measured.factors.p50_ratio measured.factors.p99_ratio \
          measured.factors.with.count measured.factors.with.max_ns measured.factors.with.p50_ns \
          measured.factors.with.p99_ns measured.factors.without.count measured.factors.without.max_ns \
@@ -189,4 +191,69 @@ fn what_it_advises_can_be_done_and_undone() {
     let unplugged = doctor();
     let found = finding(&unplugged, "linudp-v2: interface")["found"].as_str().unwrap();
     assert!(found.starts_with("wire, ") && found.ends_with(", no carrier"), "{found}");
+}
+
+/// Before anything is sent: no drive is there.
+#[test]
+fn a_plan_that_takes_longer_than_its_period_is_refused_by_stated_and_by_measured_costs() {
+    let machine = Machine::new(197);
+    let with = |line: &str| {
+        let cycle = format!("period = \"500us\"\nreceive_deadline = 0.5\n{line}");
+        machine.config("large.toml", 200, &cycle, "health = { bucket = \"1s\", leak = 1 }")
+    };
+    let ended = |words: &[&str]| {
+        let mut command = Command::new(PROGRAM);
+        command.args(words).env("XDG_STATE_HOME", machine.path("state"));
+        Program::spawn(command.env("XDG_RUNTIME_DIR", machine.path("run"))).end()
+    };
+    let config = with("").display().to_string();
+    let refused =
+        ["a cycle takes about 910 us", "more than its period of 500 us (by stated costs; ", "= \"2ms\""];
+    for words in
+        [["check", &config, "--json"].as_slice(), &["run", &config, "--for", "1s"], &["check", &config]]
+    {
+        let ended = ended(words);
+        ended.expect(2);
+        assert!(refused.iter().all(|part| ended.err.contains(part)), "{words:?}: {}", ended.err);
+        assert_eq!(ended.err.lines().count(), 1, "{}", ended.err);
+    }
+    with("cost = \"warn\"");
+    let warned = ended(&["check", &config]);
+    warned.expect(0);
+    assert!(warned.out.contains("on this host: tight: a cycle takes about 910 us"), "{}", warned.out);
+    with("cost = \"off\"");
+    let silent = ended(&["check", &config]);
+    silent.expect(0);
+    assert!(!silent.out.contains("on this host: "), "{}", silent.out);
+    assert_eq!(ended(&["check", &config, "--json"]).expect(0).json()["cost"], Value::Null);
+
+    // What was measured takes the place of what was stated.
+    with("");
+    let measured = ended(&["doctor", &config, "--measure", "--for", "1s", "--json"]);
+    let report = assert_consistent(&measured);
+    assert!(measured.err.contains("kept in ") && machine.path("state/fieldbeat/doctor.json").exists());
+    let kept = std::fs::read_to_string(machine.path("state/fieldbeat/costs")).unwrap();
+    let [send_ns, receive_ns] =
+        [0, 1].map(|which| report["measured"]["costs"]["exchanges_ns"]["datagram"][which].as_u64().unwrap());
+    assert!(kept.contains(&format!("datagram {send_ns} {receive_ns}\n")), "{kept}");
+    let cost = ended(&["check", &config, "--json"]).json()["cost"].clone();
+    assert_eq!((&cost["measured"], &cost["usual_ns"]["send"]), (&true.into(), &(200 * send_ns).into()));
+    // Of another host, or damaged, it is none.
+    std::fs::write(machine.path("state/fieldbeat/costs"), kept.replacen("host ", "host other ", 1)).unwrap();
+    assert_eq!(ended(&["check", &config, "--json"]).expect(2).json()["cost"]["measured"], false);
+}
+
+#[test]
+fn a_core_that_this_host_lacks_is_refused_by_check_as_by_run() {
+    let machine = Machine::new(198);
+    let config = machine.config("core.toml", 1, "core = 1000", "").display().to_string();
+    for words in [["check", &config].as_slice(), &["check", &config, "--json"], &["run", &config]] {
+        let ended = run(words.iter().copied());
+        ended.expect(2);
+        assert!(
+            ended.err.contains("core 1000 is not one that this process may run on: set `core` to one of "),
+            "{}",
+            ended.err
+        );
+    }
 }

@@ -7,10 +7,12 @@ use std::time::Duration;
 
 use clap::Args;
 use fieldbeat_core::cycle::CyclePlan;
+use fieldbeat_core::cycle::cost::Costs;
 use fieldbeat_core::time::{S, US, nanos};
 use fieldbeat_doctor::{Effort, Measured, Progress, Report, Subject, examine, measure};
 
 use super::{Stop, complain, load, print, show, span};
+use fieldbeat_record::file::save;
 
 /// Arguments of `doctor`.
 #[derive(Debug, Args)]
@@ -56,6 +58,9 @@ impl Doctor {
         let findings = examine(&subject);
         let measured = if self.measure { self.measured(&subject) } else { None };
         let report = Report::new(&subject, findings, measured);
+        if let Some(measured) = &report.measured {
+            keep(&report, &measured.costs.costs);
+        }
         if self.json {
             print(serde_json::to_string(&report).map_err(Stop::failed)?)?;
         } else {
@@ -75,6 +80,22 @@ impl Doctor {
         let measured = measure(subject, &effort, &mut |progress| shown.tell(&progress));
         shown.end();
         measured.map_err(|error| complain(&format!("not measured: {error}"))).ok()
+    }
+}
+
+/// Keeps what was measured: its costs for `check` and the start of a master, and the report next to them.
+fn keep(report: &Report, costs: &Costs) {
+    let file = Costs::file();
+    let json = serde_json::to_string(report).map_err(std::io::Error::from);
+    let made = file.parent().map_or(Ok(()), std::fs::create_dir_all);
+    let written = made.and_then(|()| save(&file.with_file_name("doctor.json"), json?.as_bytes()));
+    match written.and_then(|()| save(&file, costs.to_text().as_bytes())) {
+        Ok(()) => complain(&format!("kept in {}: check and run use these costs", file.display())),
+        Err(error) => complain(&format!(
+            "not kept in {}: {error}; check and run go on with the stated costs: set HOME to a directory that this \
+             user may write to",
+            file.display()
+        )),
     }
 }
 

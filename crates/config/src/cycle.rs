@@ -3,7 +3,7 @@
 use std::ops::RangeInclusive;
 
 use fieldbeat_core::bus::BusPlan;
-use fieldbeat_core::cycle::{CyclePlan, Guard, Overrun, Shares, Wait, WatchAfter};
+use fieldbeat_core::cycle::{CyclePlan, Guard, OnCost, Overrun, Shares, Wait, WatchAfter};
 use fieldbeat_core::rt::{Memory, Realtime};
 use fieldbeat_core::time::{Ns, S, US};
 use fieldbeat_keys::form::Form;
@@ -13,6 +13,8 @@ use fieldbeat_keys::value::{SHORT_NAME, alternatives, plain_name};
 pub(super) const WAITS: [(&str, Wait); 2] = [("poll", Wait::Poll), ("spin", Wait::Spin)];
 pub(super) const REALTIMES: [(&str, Realtime); 3] =
     [("require", Realtime::Require), ("prefer", Realtime::Prefer), ("off", Realtime::Off)];
+pub(super) const COSTS: [(&str, OnCost); 3] =
+    [("refuse", OnCost::Refuse), ("warn", OnCost::Warn), ("off", OnCost::Ignore)];
 pub(super) const MEMORIES: [(&str, Memory); 2] = [("process", Memory::Process), ("own", Memory::Own)];
 
 /// The periods that a cycle may have, ns.
@@ -53,6 +55,7 @@ pub(super) fn cycle(table: &mut Table<'_>) -> CyclePlan {
             unanswered: share(table, "max_unanswered_share", "unanswered exchanges of a drive")
                 .unwrap_or(default.tolerated.unanswered),
         },
+        cost: table.word("cost", &COSTS).unwrap_or(default.cost),
         realtime: table.word("realtime", &REALTIMES).unwrap_or(default.realtime),
         memory: table.word("memory", &MEMORIES).unwrap_or(default.memory),
         task_budget_ns: table.time("task_budget", US..=period_ns, "the in-loop task runs once a cycle"),

@@ -2,7 +2,7 @@
 
 use serde_json::{Value, json};
 
-use super::cycle::{MEMORIES, REALTIMES, WAITS};
+use super::cycle::{COSTS, MEMORIES, REALTIMES, WAITS};
 use fieldbeat_core::axis::{AxisPlan, Load};
 use fieldbeat_core::bus::BusPlan;
 use fieldbeat_core::cycle::bound::{stop_bound, stopping_with};
@@ -16,7 +16,8 @@ use fieldbeat_keys::error::ConfigError;
 ///
 /// - `source`: the file; null for a plan built in code.
 /// - `cycle`: `period_ns`, `core` (null: the last one), `priority`, `realtime`, `memory`, `guard` (`"off"`, `"fixed"`
-///   or `"auto"`), `guard_ns`, `wait`, `deadline_ns`, `overrun`, `max_skip`, `late_ns`, `task_budget_ns`,
+///   or `"auto"`), `guard_ns`, `wait`, `deadline_ns`, `overrun`, `max_skip`, `max_skip_rate`,
+///   `max_late_share`, `max_skipped_share`, `max_unanswered_share`, `cost`, `late_ns`, `task_budget_ns`,
 ///   `heartbeat_ns`, `reference`, `black_box_ns`.
 /// - `buses`: a list of `name`, `protocol`, `has_clock`, and the names of its `drives` and `devices`.
 /// - `drives`: a list in slot order of `name`, `bus`, `protocol`, `address`, `unit`, `divisor`, `phase`, `period_ns`
@@ -85,6 +86,7 @@ fn cycle(cycle: &CyclePlan) -> Value {
         "overrun": overrun,
         "max_skip": max_skip,
         "max_skip_rate": cycle.max_skip_rate,
+        "cost": word(&COSTS, cycle.cost),
         "max_late_share": cycle.tolerated.late,
         "max_skipped_share": cycle.tolerated.skipped,
         "max_unanswered_share": cycle.tolerated.unanswered,

@@ -343,7 +343,7 @@ pub(super) mod testing {
     /// The default plan on core 3.
     pub fn subject() -> Subject {
         let cycle = CyclePlan { core: Some(3), ..CyclePlan::default() };
-        Subject { source: None, core: 3, cycle, wires: Vec::new(), lines: Vec::new(), ports: Vec::new() }
+        Subject { core: 3, ..Subject::cycle(cycle) }
     }
 }
 

@@ -24,6 +24,8 @@ pub enum Area {
     Memory,
     /// The network to the drives.
     Network,
+    /// What a cycle of the plan takes.
+    Load,
     /// What was measured.
     Measured,
 }

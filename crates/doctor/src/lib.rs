@@ -8,6 +8,7 @@
 //! | `finding` | the result of a check |
 //! | `kernel`, `rights`, `core`, `power`, `clock`, `memory` | the checks: facts in, findings out |
 //! | `network`, `nic`, `port`, `interrupts` | the same for each bus, with a configuration only |
+//! | `load` | what a cycle of the plan takes |
 //! | `measure` | settings that can be tried at run time, and their effect here |
 //! | `stats` | quantiles and ratios with intervals; the benches use them too |
 //! | `report` | findings and measurements as text and as JSON |
@@ -28,6 +29,7 @@ mod facts;
 mod finding;
 mod interrupts;
 mod kernel;
+mod load;
 mod measure;
 mod memory;
 mod network;
@@ -46,11 +48,12 @@ pub use way::{Line, Port, Wire};
 
 pub use finding::{Area, Finding, Verdict};
 pub use measure::{
-    Carries, Effort, Factor, Glance, Latency, Measured, Noise, Progress, Untried, glance, measure,
+    Carries, CostOf, Effort, Factor, Glance, Latency, Measured, Noise, Progress, Untried, glance, measure,
 };
 pub use report::{Carried, Counts, Host, Report};
 
-use fieldbeat_core::cycle::{CyclePlan, Plan};
+use fieldbeat_core::cycle::cost::{Costs, Demand};
+use fieldbeat_core::cycle::{CyclePlan, OnCost, Plan};
 use fieldbeat_core::rt::thread::default_core;
 use way::Way;
 
@@ -69,13 +72,17 @@ pub struct Subject {
     pub lines: Vec<Line>,
     /// The serial ports of its buses.
     pub ports: Vec<Port>,
+    /// Which exchanges its cycles have; `None`: nothing is known of its drives, or nobody wants an estimate.
+    pub demand: Option<Demand>,
 }
 
 impl Subject {
     /// A whole machine.
     pub fn of(plan: &Plan) -> Subject {
         let period_ns = plan.cycle.period_ns;
-        let mut subject = Subject { source: plan.source.clone(), ..Subject::cycle(plan.cycle.clone()) };
+        let demand = (plan.cycle.cost != OnCost::Ignore).then(|| Demand::of(plan));
+        let mut subject =
+            Subject { source: plan.source.clone(), demand, ..Subject::cycle(plan.cycle.clone()) };
         for way in plan.buses.iter().filter_map(|bus| Way::of(bus.as_ref(), period_ns)) {
             match way {
                 Way::Wire(wire) => subject.wires.push(wire),
@@ -90,7 +97,15 @@ impl Subject {
     pub fn cycle(cycle: CyclePlan) -> Subject {
         // Every computer has a core 0, whatever its kernel reports.
         let core = cycle.core.or_else(default_core).unwrap_or(0);
-        Subject { source: None, cycle, core, wires: Vec::new(), lines: Vec::new(), ports: Vec::new() }
+        Subject {
+            source: None,
+            cycle,
+            core,
+            wires: Vec::new(),
+            lines: Vec::new(),
+            ports: Vec::new(),
+            demand: None,
+        }
     }
 }
 
@@ -98,7 +113,9 @@ impl Subject {
 /// and the memory lock of the plan is taken and released, with all other locks of this process; so not in a
 /// process whose loop is running.
 pub fn examine(subject: &Subject) -> Vec<Finding> {
-    judge(&facts::Facts::of_this_host(subject), subject)
+    let mut findings = judge(&facts::Facts::of_this_host(subject), subject);
+    findings.extend(subject.demand.as_ref().map(|demand| load::check(demand, &Costs::of_this_host())));
+    findings
 }
 
 fn judge(facts: &facts::Facts, subject: &Subject) -> Vec<Finding> {
@@ -143,6 +160,6 @@ pub(crate) mod tests {
         assert_eq!(subject.wires.len(), 1);
         let findings = examine(&subject);
         let areas: Vec<Area> = findings.iter().map(|finding| finding.area).collect();
-        assert!(areas.is_sorted() && areas.last() == Some(&Area::Network), "{areas:?}");
+        assert!(areas.is_sorted() && areas.last() == Some(&Area::Load), "{areas:?}");
     }
 }

@@ -6,7 +6,7 @@ use anstyle::{AnsiColor, Style};
 use serde::Serialize;
 
 use super::measure::{Carries, Factor, Measured, percent, word};
-use super::{Finding, Subject, Verdict};
+use super::{Area, Finding, Subject, Verdict, load};
 use fieldbeat_core::rt::host;
 use fieldbeat_core::time::Ns;
 use fieldbeat_record::style::{BAD, paint};
@@ -76,6 +76,11 @@ pub struct Host {
 impl Report {
     /// The report on `subject`: what was found, and what was measured.
     pub fn new(subject: &Subject, mut findings: Vec<Finding>, measured: Option<Measured>) -> Report {
+        if let (Some(measured), Some(demand)) = (&measured, &subject.demand) {
+            // By what was just measured, and no longer by what was known before.
+            findings.retain(|finding| finding.area != Area::Load);
+            findings.push(load::check(demand, &measured.costs.costs));
+        }
         findings.extend(measured.iter().flat_map(|measured| measured.findings(subject)));
         let count = |verdict| findings.iter().filter(|finding| finding.verdict == verdict).count();
         let [good, poor, bad, unknown] =

@@ -11,12 +11,14 @@ use super::notation::Addresses;
 use super::plan::{Delivery, EthernetIpPlan, MoonsDrive};
 use super::profile;
 use super::target::Target;
-use super::wire::assembly::alarms;
+use super::wire::assembly::{Version, alarms, input_size};
+use super::wire::io::{COUNT, OUTGOING_MAX, OWNER_SIZE};
 use fieldbeat_core::axis::acyclic::{Call, Notation};
 use fieldbeat_core::axis::feedback::MONITOR_CHANNELS;
 use fieldbeat_core::axis::{AxisPlan, FaultNames, FoundRunning, MonitorChannel, PlanFault};
 use fieldbeat_core::bus::desired::Capabilities;
 use fieldbeat_core::bus::diagnosis::Row;
+use fieldbeat_core::bus::load::{Load, Medium, Way};
 use fieldbeat_core::bus::native::NativeLayout;
 use fieldbeat_core::bus::variant::Variant;
 use fieldbeat_core::bus::{Bus, BusPlan, OpenError, OwnCounter, drives};
@@ -62,6 +64,20 @@ impl BusPlan for EthernetIpPlan {
 
     fn open(&self, period_ns: u64, carriers: &dyn Carriers) -> Result<Box<dyn Bus>, OpenError> {
         EthernetIpBus::open(self, period_ns, carriers)
+    }
+
+    fn load(&self, _period_ns: u64) -> Option<Load> {
+        if self.drives.iter().all(|drive| !drive.cyclic) {
+            return None;
+        }
+        let around = OUTGOING_MAX - usize::from(OWNER_SIZE) + COUNT;
+        let bytes = [OUTGOING_MAX, around + input_size(Version::V1)];
+        Some(Load {
+            medium: Medium::Datagrams,
+            way: Way::Address(*self.bind.ip()),
+            bytes,
+            frames: Vec::new(),
+        })
     }
 
     fn monitored(&self, index: usize) -> [Option<MonitorChannel>; MONITOR_CHANNELS] {

@@ -12,12 +12,13 @@ use super::notation::Upids;
 use super::plan::{LinUdpDrive, LinUdpPlan, MonitorPlan, Serial};
 use super::profile;
 use super::station::{SerialNote, Station};
-use super::wire::{ErrorCode, REQUEST_MAX, RESPONSE_MAX};
+use super::wire::{ErrorCode, REQUEST_MAX, RESPONSE_MAX, SHORTEST};
 use fieldbeat_core::axis::acyclic::Notation;
 use fieldbeat_core::axis::feedback::MONITOR_CHANNELS;
 use fieldbeat_core::axis::{AxisPlan, FaultNames, FoundRunning, MonitorChannel, PlanFault};
 use fieldbeat_core::bus::desired::Capabilities;
 use fieldbeat_core::bus::diagnosis::Row;
+use fieldbeat_core::bus::load::{Load, Medium, Way};
 use fieldbeat_core::bus::native::{NativeBytes, NativeLayout, WantedOutputs};
 use fieldbeat_core::bus::variant::Variant;
 use fieldbeat_core::bus::{
@@ -342,6 +343,15 @@ impl BusPlan for LinUdpPlan {
 
     fn open(&self, _period_ns: u64, carriers: &dyn Carriers) -> Result<Box<dyn Bus>, OpenError> {
         Ok(Box::new(LinUdpBus::open(self, carriers)?))
+    }
+
+    fn load(&self, _period_ns: u64) -> Option<Load> {
+        Some(Load {
+            medium: Medium::Datagrams,
+            way: Way::Address(*self.bind.ip()),
+            bytes: SHORTEST,
+            frames: Vec::new(),
+        })
     }
 
     fn monitored(&self, index: usize) -> [Option<MonitorChannel>; MONITOR_CHANNELS] {

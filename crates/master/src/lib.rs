@@ -30,10 +30,11 @@ use fieldbeat_core::axis::handle;
 use fieldbeat_core::axis::{Axis, Group, GroupError, Link, Pulse, StopCause};
 use fieldbeat_core::bus::diagnosis::NOT_YET;
 use fieldbeat_core::bus::{Cycle, OpenError};
+use fieldbeat_core::cycle::cost::{Costs, Demand};
 use fieldbeat_core::cycle::engine::Control;
 use fieldbeat_core::cycle::status::{AtEnd, Numbers};
 use fieldbeat_core::cycle::task::{Axes, Task};
-use fieldbeat_core::cycle::{self, Plan, PlanErrors};
+use fieldbeat_core::cycle::{self, OnCost, Plan, PlanErrors};
 use fieldbeat_core::logged::{LoggedCarriers, LoggedClock};
 use fieldbeat_core::net::{Carriers, Os};
 use fieldbeat_core::rt::watch::ThreadWatch;
@@ -103,6 +104,9 @@ pub enum StartError {
     /// The cycle would occupy its core until the kernel takes the core away.
     #[error("{0}")]
     Starving(String),
+    /// A cycle takes longer than its period on this host, or its wire does.
+    #[error("{0}")]
+    Cost(String),
     /// A thread could not be started.
     #[error("cannot start a thread: {0}; look at the limits of processes and memory (ulimit -u, ulimit -v)")]
     Thread(std::io::Error),
@@ -412,6 +416,11 @@ impl Setup {
         let throttling = rt::host::rt_throttling();
         if let Some(why) = throttling.and_then(|throttling| cycle::starvation(cycle, &throttling)) {
             return Err(StartError::Starving(why));
+        }
+        if cycle.cost == OnCost::Refuse
+            && let Some(why) = Demand::of(&self.plan).cost(&Costs::of_this_host()).refusal()
+        {
+            return Err(StartError::Cost(format!("cycle: {why}")));
         }
         if cycle.realtime != Realtime::Off && cycle.memory == Memory::Process {
             rt::memory::prepare_heap();

@@ -1,6 +1,6 @@
 //! All drives of one Modbus TCP bus, one connection each: stations and their carrier, as a [`Bus`].
 
-use std::net::SocketAddrV4;
+use std::net::{Ipv4Addr, SocketAddrV4};
 use std::os::fd::RawFd;
 use std::sync::Arc;
 
@@ -19,6 +19,7 @@ use fieldbeat_core::axis::feedback::MONITOR_CHANNELS;
 use fieldbeat_core::axis::{AxisPlan, FaultNames, FoundRunning, MonitorChannel, PlanFault, SilenceFaults};
 use fieldbeat_core::bus::desired::Capabilities;
 use fieldbeat_core::bus::diagnosis::Row;
+use fieldbeat_core::bus::load::{Load, Medium, Way};
 use fieldbeat_core::bus::native::{NativeBytes, NativeLayout, WantedOutputs};
 use fieldbeat_core::bus::variant::Variant;
 use fieldbeat_core::bus::{
@@ -298,6 +299,12 @@ impl BusPlan for ModbusPlan {
 
     fn open(&self, _period_ns: u64, carriers: &dyn Carriers) -> Result<Box<dyn Bus>, OpenError> {
         Ok(Box::new(ModbusBus::open(self, carriers)?))
+    }
+
+    fn load(&self, _period_ns: u64) -> Option<Load> {
+        let way = Way::Address(self.bind.unwrap_or(Ipv4Addr::UNSPECIFIED));
+        // The shortest of FC23 (Modbus Application Protocol V1.1b3, 6.17): a register each way.
+        Some(Load { medium: Medium::Streams, way, bytes: [7 + 12, 7 + 4], frames: Vec::new() })
     }
 
     fn monitored(&self, index: usize) -> [Option<MonitorChannel>; MONITOR_CHANNELS] {

@@ -16,6 +16,7 @@ use fieldbeat_core::axis::feedback::MONITOR_CHANNELS;
 use fieldbeat_core::axis::{AxisPlan, FoundRunning, MonitorChannel, PlanFault};
 use fieldbeat_core::bus::desired::Capabilities;
 use fieldbeat_core::bus::diagnosis::Row;
+use fieldbeat_core::bus::load::{Load, Medium, Way};
 use fieldbeat_core::bus::native::NativeLayout;
 use fieldbeat_core::bus::variant::Variant;
 use fieldbeat_core::bus::{Bus, BusPlan, Grid, OpenError, OwnCounter, drives};
@@ -84,6 +85,11 @@ impl BusPlan for ProfibusPlan {
 
     fn open(&self, _period_ns: u64, carriers: &dyn Carriers) -> Result<Box<dyn Bus>, OpenError> {
         Ok(Box::new(ProfibusBus::open(self, carriers)?))
+    }
+
+    fn load(&self, _period_ns: u64) -> Option<Load> {
+        // What the wire takes is laid on the grid: `turn_faults`.
+        Some(Load { medium: Medium::Serial, way: Way::Port, bytes: [0; 2], frames: Vec::new() })
     }
 
     fn monitored(&self, index: usize) -> [Option<MonitorChannel>; MONITOR_CHANNELS] {

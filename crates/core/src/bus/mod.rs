@@ -7,6 +7,7 @@
 //! | `counters` | exact counts of a drive's exchanges, and of what belongs to no drive |
 //! | `diagnosis` | why a drive is not online, from these counts |
 //! | `plan`, `error` | [`BusPlan`]: a bus as configured, before any socket is open; why it cannot be opened |
+//! | `load` | what its exchanges put on its wire |
 //! | `native` | the native process data of a drive for a recording |
 //! | `drives` | what the buses of all protocols do with their drives |
 //! | `reader`, `cia402` | what their wires have in common: values from bytes, the states in a status word |
@@ -19,6 +20,7 @@ pub mod desired;
 pub mod diagnosis;
 pub mod drives;
 mod error;
+pub mod load;
 pub mod native;
 mod plan;
 pub mod reader;

@@ -7,6 +7,7 @@ use std::sync::Arc;
 
 use super::desired::Capabilities;
 use super::diagnosis::Row;
+use super::load::Load;
 use super::native::NativeLayout;
 use super::variant::Variant;
 use super::{Bus, OpenError, OwnCounter};
@@ -117,6 +118,12 @@ pub trait BusPlan: Any + Debug + Send + Sync {
     #[doc(hidden)]
     fn require_idle(&self, _carriers: &dyn Carriers) -> Result<(), OpenError> {
         Ok(())
+    }
+
+    /// What its exchanges put on its wire in a cycle of `period_ns`. `None`: nothing that costs a processor time.
+    #[doc(hidden)]
+    fn load(&self, _period_ns: u64) -> Option<Load> {
+        None
     }
 
     /// The variables that drive `index` reports in addition to its process data, each once.

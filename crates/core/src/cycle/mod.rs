@@ -7,6 +7,7 @@
 //! | `grid` | slots and their instants |
 //! | `skips` | the share of the slots that were skipped |
 //! | `bound` | from the loss of a drive to its stop request |
+//! | `cost` | what the cycles of a plan cost on a host |
 //! | `window` | waiting for replies until the deadline |
 //! | `reference`, `phase_lock` | a bus clock that leads the grid |
 //! | `heartbeat` | watches the application's sign of life |
@@ -23,6 +24,7 @@
 pub const REVISION: u32 = 2;
 
 pub mod bound;
+pub mod cost;
 pub mod engine;
 mod grid;
 mod heartbeat;
@@ -37,5 +39,5 @@ pub mod watch;
 pub mod window;
 
 pub use plan::{
-    CyclePlan, GroupPlan, Guard, Overrun, Plan, PlanErrors, Shares, Wait, WatchAfter, starvation,
+    CyclePlan, GroupPlan, Guard, OnCost, Overrun, Plan, PlanErrors, Shares, Wait, WatchAfter, starvation,
 };

@@ -56,8 +56,8 @@ impl Plan {
     pub fn resolved(&self) -> String {
         let Plan { source: _, cycle, buses, groups } = self;
         // What is recorded as well, and how a run is judged, changes nothing of it.
-        let tolerated = CyclePlan::default().tolerated;
-        let cycle = CyclePlan { record_native: Vec::new(), tolerated, ..cycle.clone() };
+        let CyclePlan { tolerated, cost, .. } = CyclePlan::default();
+        let cycle = CyclePlan { record_native: Vec::new(), tolerated, cost, ..cycle.clone() };
         format!("{cycle:#?}\n{buses:#?}\n{groups:#?}\n")
     }
 
@@ -353,6 +353,8 @@ pub struct CyclePlan {
     pub max_skip_rate: f64,
     /// With larger shares than these of its cycles, slots and exchanges the period counts as not carried.
     pub tolerated: Shares,
+    /// What becomes of a plan whose cycle [costs](super::cost) more than its period.
+    pub cost: OnCost,
     /// The bus whose clock leads the grid, by name. `None` = ours does.
     pub reference: Option<String>,
     /// Whether real-time scheduling is required.
@@ -373,6 +375,17 @@ pub struct CyclePlan {
     /// The drives whose native process data the loop reports, by name; `all` is each of them. A recorder sets it.
     #[doc(hidden)]
     pub record_native: Vec<String>,
+}
+
+/// What becomes of a plan whose cycle takes longer than its period, as estimated before the start.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum OnCost {
+    /// It is refused.
+    Refuse,
+    /// It starts, and `check` says so.
+    Warn,
+    /// Nothing is estimated.
+    Ignore,
 }
 
 /// What of a run was not as planned, 0 ... 1 each.
@@ -433,6 +446,7 @@ impl Default for CyclePlan {
             overrun: Overrun::Skip { max_skip: 10 },
             max_skip_rate: 0.2,
             tolerated: Shares { late: 0.1, skipped: 0.01, unanswered: 0.01 },
+            cost: OnCost::Refuse,
             reference: None,
             realtime: Realtime::Prefer,
             memory: Memory::Process,

@@ -32,13 +32,18 @@ const RECEIVE_BATCH: usize = 128;
 /// (`truesize`, 768 on x86-64), rounded up.
 const OVERHEAD: usize = 1024;
 
+/// The largest send buffer, bytes: room for what waits for the addresses of some thirty absent peers, whose queues in
+/// the kernel hold 101 packets each (`unres_qlen` of ip-neighbour). With more absent peers than that some of the
+/// requests to others are unsent, too, until the absent ones count as lost.
+const MOST_SENDING: usize = 4 << 20;
+
 /// Datagrams of each peer that a socket buffer holds: those of a few cycles, in case the loop is delayed.
 const DEPTH: usize = 8;
 
 impl UdpOptions {
     /// The requested size of the send buffer, bytes.
     pub fn send_buffer(&self) -> usize {
-        self.space(self.waiting.max(DEPTH))
+        self.space(self.waiting.max(DEPTH)).min(MOST_SENDING)
     }
 
     /// The requested size of the receive buffer, bytes.

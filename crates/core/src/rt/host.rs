@@ -4,6 +4,9 @@
 //! not report is `None`, never a guess.
 
 use std::fs;
+use std::path::PathBuf;
+
+use nix::unistd::User;
 
 /// The name of this host (/proc/sys/kernel/hostname).
 pub fn name() -> Option<String> {
@@ -81,6 +84,21 @@ pub fn rt_throttling() -> Option<Throttling> {
         &line("/proc/sys/kernel/sched_rt_runtime_us")?,
         &line("/proc/sys/kernel/sched_rt_period_us")?,
     )
+}
+
+/// The speed of a network interface, Mbit/s; `None`: it has none, or is down (/sys/class/net/NAME/speed).
+pub fn link_speed(interface: &str) -> Option<u64> {
+    line(&format!("/sys/class/net/{interface}/speed"))?.parse().ok().filter(|speed| *speed > 0)
+}
+
+/// Where files of this program go if nobody says otherwise: the state directory of the service, or that of the user.
+pub fn state_directory() -> PathBuf {
+    let of = |name: &str| std::env::var_os(name).map(PathBuf::from).filter(|path| path.is_absolute());
+    of("STATE_DIRECTORY").or_else(|| Some(of("XDG_STATE_HOME")?.join("fieldbeat"))).unwrap_or_else(|| {
+        // Never a directory that others may write to.
+        let home = User::from_uid(nix::unistd::geteuid()).ok().flatten().map(|user| user.dir);
+        of("HOME").or(home).unwrap_or_default().join(".local/state/fieldbeat")
+    })
 }
 
 /// A file's text without surrounding white space and the NUL that ends device-tree strings.

@@ -188,8 +188,22 @@ pub fn pin(core: usize) -> Result<(), RealtimeError> {
     if core < CpuSet::count() && core_affinity::set_for_current(CoreId { id: core }) {
         return Ok(());
     }
-    let allowed = permitted_cores().iter().map(usize::to_string).collect::<Vec<_>>().join(", ");
-    Err(RealtimeError::Core { core, allowed })
+    Err(no_core(core, &permitted_cores()))
+}
+
+/// Whether [`pin`] would accept `core`.
+///
+/// # Errors
+///
+/// It would not.
+pub fn may_use(core: usize) -> Result<(), RealtimeError> {
+    let permitted = permitted_cores();
+    if permitted.contains(&core) { Ok(()) } else { Err(no_core(core, &permitted)) }
+}
+
+fn no_core(core: usize, permitted: &[usize]) -> RealtimeError {
+    let allowed = permitted.iter().map(usize::to_string).collect::<Vec<_>>().join(", ");
+    RealtimeError::Core { core, allowed }
 }
 
 /// The cores that [`pin`] accepts: the kernel reduces a request for all of them to what it grants

@@ -158,6 +158,7 @@ mod tests {
     use crate::Verdict::{Bad, Good, Poor, Unknown};
     use crate::facts::testing::subject;
     use crate::measure::slice::GAP_NS;
+    use fieldbeat_core::cycle::cost::Costs;
     use fieldbeat_core::time::{MS, S, US};
 
     fn measured(plan: &[(usize, usize)], periods: &[(u64, usize)]) -> Measured {
@@ -175,6 +176,7 @@ mod tests {
             plan: Carries::of(MS, 100 * US, plan),
             shortest_period_ns: shortest.map(|period| period.period_ns),
             periods,
+            costs: Costs::default().into(),
             steal_ms: Some(0),
         }
     }

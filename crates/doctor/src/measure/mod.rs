@@ -7,10 +7,13 @@
 //! | `results` | what was measured |
 //! | `findings` | what follows from it |
 //! | `setting`, `slice` | one slice: a thread set up in one way |
+//! | `costs` | what an exchange of each medium costs |
 //! | `glance` | what this host carries, in half a second |
 //!
-//! It measures wake-ups, the part of a cycle that the host decides; the loop's own work comes on top.
+//! It measures wake-ups and what the kernel takes for an exchange: the parts of a cycle that the host decides. The loop's
+//! own work comes on top.
 
+mod costs;
 mod findings;
 mod glance;
 mod results;
@@ -21,11 +24,12 @@ pub use glance::{Glance, glance};
 
 use self::findings::{HELPS, HURTS};
 pub(super) use self::findings::{percent, word};
-pub use self::results::{Carries, Factor, Latency, Measured, Noise, Untried};
+pub use self::results::{Carries, CostOf, Factor, Latency, Measured, Noise, Untried};
 use super::Subject;
 use super::facts::on_a_thread;
 use super::stats::{Interval, Sample};
 use fieldbeat_core::cycle::Guard;
+use fieldbeat_core::cycle::cost::Demand;
 use fieldbeat_core::rt::thread::{fifo, permitted_cores};
 use fieldbeat_core::rt::{GuardTuner, Realtime, RealtimeError, host, memory};
 use fieldbeat_core::time::{MS, S, US};
@@ -186,6 +190,11 @@ pub fn measure(
         let why = "no time left; a longer --for gives more".to_owned();
         untried.push(Untried { name: format!("{} more cores", left_out.len()), why });
     }
+    let done = bench.done();
+    (bench.report)(Progress { what: "costs of an exchange", done });
+    let interfaces = subject.demand.as_ref().map_or_else(Vec::new, Demand::interfaces);
+    let (costs, left_out) = costs::costs(&bench.base, &interfaces)?;
+    untried.extend(left_out.into_iter().map(|why| Untried { name: "cost of an exchange".to_owned(), why }));
     let periods = bench.periods()?;
     let late_ns = subject.cycle.late_ns();
     let plan = Carries::of(subject.cycle.period_ns, late_ns, &bench.planned);
@@ -200,6 +209,7 @@ pub fn measure(
         plan,
         shortest_period_ns: carried.last().map(|period| period.period_ns),
         periods,
+        costs: costs.into(),
         steal_ms: steal_before.and_then(|before| Some(host::steal_ms(None)?.saturating_sub(before))),
     })
 }
@@ -207,6 +217,11 @@ pub fn measure(
 impl Bench<'_> {
     fn factor_period_ns(&self) -> u64 {
         self.subject.cycle.period_ns.min(LONGEST_PERIOD_NS)
+    }
+
+    /// The share of the span that is done.
+    fn done(&self) -> f64 {
+        (self.done_ns / self.effort.span_ns as f64).min(1.0)
     }
 
     /// So many of a contender's slices fit into what the cores are given.
@@ -289,8 +304,8 @@ impl Bench<'_> {
         for round in 0..rounds as usize {
             for turn in 0..count {
                 let contender = &mut contenders[(round + turn) % count];
-                let done = self.done_ns / self.effort.span_ns as f64;
-                (self.report)(Progress { what, done: done.min(1.0) });
+                let done = self.done();
+                (self.report)(Progress { what, done });
                 contender.run(cycles)?;
                 self.done_ns += span_ns * contender.period_ns as f64 / (turn_ns * rounds) as f64;
             }

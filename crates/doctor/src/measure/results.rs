@@ -1,9 +1,12 @@
 //! What was measured.
 
+use std::collections::BTreeMap;
+
 use serde::Serialize;
 
 use super::setting::Setting;
 use crate::stats::{Interval, over_rounds};
+use fieldbeat_core::cycle::cost::{Costs, MEDIA};
 
 /// What was measured. Serialised, its keys are stable; values are in ns unless the key says otherwise; what the sample
 /// does not support is null.
@@ -27,8 +30,33 @@ pub struct Measured {
     pub periods: Vec<Carries>,
     /// The shortest of these periods that was carried, and so were all longer ones.
     pub shortest_period_ns: Option<u64>,
+    /// What the kernel takes for an exchange.
+    pub costs: CostOf,
     /// Time that the hypervisor took from all cores meanwhile, ms.
     pub steal_ms: Option<u64>,
+}
+
+/// What the kernel takes to hand a request over and to take its reply in, ns; stated where it could not be measured.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct CostOf {
+    /// By what the exchange is: `datagram`, `stream`, `frame`, `telegram`; to send and to receive, ns.
+    pub exchanges_ns: BTreeMap<&'static str, [u64; 2]>,
+    /// What the driver of an interface takes for a frame, ns.
+    pub drivers_ns: BTreeMap<String, u64>,
+    /// The same for estimates.
+    #[serde(skip)]
+    pub costs: Costs,
+}
+
+impl From<Costs> for CostOf {
+    fn from(costs: Costs) -> CostOf {
+        let exchanges = MEDIA.into_iter().zip(&costs.exchanges);
+        CostOf {
+            exchanges_ns: exchanges.map(|(name, of)| (name, [of.send_ns, of.receive_ns])).collect(),
+            drivers_ns: costs.drivers.iter().cloned().collect(),
+            costs,
+        }
+    }
 }
 
 /// One thing, without and with.

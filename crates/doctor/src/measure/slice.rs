@@ -31,7 +31,10 @@ pub(super) fn wake_ups(
 }
 
 /// Runs `body` on a thread as `setting` has it. What it takes away from the process is given back afterwards.
-fn within<T: Send>(setting: &Setting, body: impl FnOnce() -> T + Send) -> Result<T, RealtimeError> {
+pub(super) fn within<T: Send>(
+    setting: &Setting,
+    body: impl FnOnce() -> T + Send,
+) -> Result<T, RealtimeError> {
     // Given back when it is closed (Documentation/power/pm_qos_interface.rst).
     let _awake = if setting.awake { Some(hold_awake().map_err(call("open"))?) } else { None };
     if setting.locked {

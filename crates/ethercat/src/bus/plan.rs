@@ -20,6 +20,7 @@ use fieldbeat_core::axis::feedback::MONITOR_CHANNELS;
 use fieldbeat_core::axis::{AxisPlan, FaultNames, FoundRunning, MonitorChannel, PlanFault, SilenceFaults};
 use fieldbeat_core::bus::desired::Capabilities;
 use fieldbeat_core::bus::diagnosis::Row;
+use fieldbeat_core::bus::load::{Load, Medium, Way};
 use fieldbeat_core::bus::native::NativeLayout;
 use fieldbeat_core::bus::variant::Variant;
 use fieldbeat_core::bus::{Bus, BusPlan, OpenError, OwnCounter};
@@ -115,6 +116,15 @@ impl BusPlan for EthercatPlan {
                 Err(OpenError::Running { bus, what })
             }
         }
+    }
+
+    fn load(&self, _period_ns: u64) -> Option<Load> {
+        let slaves = self.slaves();
+        let clock = slaves.iter().any(|(_, slave)| slave.sync);
+        let (image, _) = Image::new(&slaves, 0, [0; 6], clock, self.lrw)?;
+        let frames = image.frames().iter().map(|frame| frame.bytes().len()).collect();
+        let way = Way::Interface(self.interface.clone());
+        Some(Load { medium: Medium::Frames, way, bytes: [0; 2], frames })
     }
 
     fn monitored(&self, index: usize) -> [Option<MonitorChannel>; MONITOR_CHANNELS] {

@@ -89,6 +89,9 @@ mod field {
     };
 }
 
+/// The shortest request with a control word, and the shortest reply, bytes.
+pub const SHORTEST: [usize; 2] = [field::HEADER + field::CONTROL, field::HEADER];
+
 /// The longest request that the definitions can describe, bytes.
 pub const REQUEST_MAX: usize = field::HEADER + field::CONTROL + field::MOTION + field::CONFIG;
 /// The longest response that the definitions can describe, bytes, without padding.

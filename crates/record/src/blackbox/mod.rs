@@ -19,8 +19,6 @@ use std::path::{Path, PathBuf};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant, SystemTime};
 
-use nix::unistd::User;
-
 use self::file::{Axis, Channel, Header};
 use crate::failures::Failures;
 use crate::file::save;
@@ -302,12 +300,7 @@ impl Keep for BlackBox {
 
 /// Where the files go if nobody says otherwise: the state directory of the service, or that of the user.
 pub fn default_directory() -> PathBuf {
-    let of = |name: &str| std::env::var_os(name).map(PathBuf::from).filter(|path| path.is_absolute());
-    of("STATE_DIRECTORY").or_else(|| Some(of("XDG_STATE_HOME")?.join("fieldbeat"))).unwrap_or_else(|| {
-        // Never a directory that others may write to.
-        let home = User::from_uid(nix::unistd::geteuid()).ok().flatten().map(|user| user.dir);
-        of("HOME").or(home).unwrap_or_default().join(".local/state/fieldbeat")
-    })
+    host::state_directory()
 }
 
 #[cfg(test)]
