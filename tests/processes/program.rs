@@ -117,7 +117,8 @@ fn the_demo_runs_by_itself_and_its_json_has_every_key() {
          cycle.reference.bus cycle.reference.locked cycle.reference.losses cycle.reference.samples \
          cycle.reference.silent carried carried.carried carried.period_ns carried.shares carried.shares.what \
          carried.shares.count carried.shares.of carried.shares.tolerated carried.shares.drive \
-         carried.would_be_ns carried.realtime cycle.reference.error_ns cycle.reference.step_max_ns wake_ns jitter_ns \
+         carried.would_be_ns carried.realtime cycle.reference.error_ns cycle.reference.step_max_ns \
+         wake_ns jitter_ns \
          stages_ns stages_ns.send stages_ns.receive stages_ns.evaluate stages_ns.commands stages_ns.prepare \
          stages_ns.publish late late.threshold_ns late.count late.causes late.newest black_boxes recordings \
          failures drives drives.name drives.protocol drives.link drives.not_connected drives.diagnosis \

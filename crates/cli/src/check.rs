@@ -25,9 +25,9 @@ pub struct Check {
     /// Keys of a plan: `source`, `cycle`, `buses`, `drives` (each with `name`, `protocol`, `address`,
     /// `stop_bound_cycles`, `stop_bound_ns`, `drive_watchdog_ns`, `if_master_dies` and more), `groups`, and `errors`,
     /// empty unless this host cannot carry the plan. `cost` is what a cycle takes on this host (null with cost =
-    /// "off"): `measured`, `usual_ns` and `worst_ns` (`send`, `receive`, `own`, `total`), and `wires` (`bus`, `interface`,
-    /// `mbit_s`, `requests`, `there_ns`, `back_ns`). Each error has `file`, `line`, `key`, `value` and `message`. With
-    /// errors the exit code is 2.
+    /// "off"): `measured`, `usual_ns` and `worst_ns` (`send`, `receive`, `own`, `total`), and `wires` (`bus`,
+    /// `interface`, `mbit_s`, `requests`, `there_ns`, `back_ns`). Each error has `file`, `line`, `key`, `value`
+    /// and `message`. With errors the exit code is 2.
     #[arg(long)]
     json: bool,
 }
@@ -75,7 +75,10 @@ impl Check {
 
 /// What a cycle takes.
 fn of_cycle(cost: &CycleCost) -> Value {
-    let stages = |of: &Stages| json!({ "send": of.send_ns, "receive": of.receive_ns, "own": of.own_ns, "total": of.total_ns() });
+    let stages = |of: &Stages| {
+        let [send, receive, own] = [of.send_ns, of.receive_ns, of.own_ns];
+        json!({ "send": send, "receive": receive, "own": own, "total": of.total_ns() })
+    };
     let wire = |Wire { bus, interface, mbit_s, count, ns: [there_ns, back_ns] }: &Wire| {
         json!({
             "bus": bus, "interface": interface, "mbit_s": mbit_s, "requests": count,

@@ -50,7 +50,7 @@ pub(super) fn cycle(table: &mut Table<'_>) -> CyclePlan {
             )
             .unwrap_or(default.max_skip_rate),
         tolerated: Shares {
-            late: share(table, "max_late_share", "late cycles").unwrap_or(default.tolerated.late),
+            late: share(table, "max_late_share", "cycles that begin late").unwrap_or(default.tolerated.late),
             skipped: share(table, "max_skipped_share", "skipped slots").unwrap_or(default.tolerated.skipped),
             unanswered: share(table, "max_unanswered_share", "unanswered exchanges of a drive")
                 .unwrap_or(default.tolerated.unanswered),

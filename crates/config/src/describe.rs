@@ -92,7 +92,7 @@ fn count(number: usize, what: &str) -> String {
 /// The shares with which a run counts as carried.
 fn tolerated(Shares { late, skipped, unanswered }: Shares) -> String {
     let shares = [
-        (late, "of the cycles late"),
+        (late, "of the cycles begun late"),
         (skipped, "skipped"),
         (unanswered, "of a drive's exchanges unanswered"),
     ];

@@ -10,7 +10,7 @@ use std::time::SystemTime;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use crate::summary::{Summary, late_by_loop};
+use crate::summary::Summary;
 use fieldbeat_core::axis::{Fault, FaultNames};
 use fieldbeat_core::cycle::Plan;
 use fieldbeat_core::cycle::record::Stage;
@@ -90,9 +90,6 @@ pub struct Counts {
     pub overruns: u64,
     /// Late cycles.
     pub late: u64,
-    /// Those of them that were late by something else than a drive that did not answer.
-    #[serde(default)]
-    pub late_by_loop: u64,
     /// Exchanges missed by all drives.
     pub missed: u64,
     /// Telemetry records lost.
@@ -257,7 +254,6 @@ impl Archive {
                 skipped: status.skipped,
                 overruns: status.overruns,
                 late: status.late,
-                late_by_loop: late_by_loop(status.late, &measured.causes),
                 missed: status.missed,
                 lost_records: status.lost_records,
                 lost_events: status.lost_events,
@@ -388,7 +384,6 @@ impl Counts {
         self.skipped += later.skipped;
         self.overruns += later.overruns;
         self.late += later.late;
-        self.late_by_loop += later.late_by_loop;
         self.missed += later.missed;
         self.lost_records += later.lost_records;
         self.lost_events += later.lost_events;

@@ -391,7 +391,7 @@ pub enum OnCost {
 /// What of a run was not as planned, 0 ... 1 each.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Shares {
-    /// Cycles that began late or spent long in a stage, of those executed; see [`CyclePlan::late_ns`].
+    /// Cycles that began late, of those executed; see [`CyclePlan::late_ns`].
     pub late: f64,
     /// Slots skipped, of all.
     pub skipped: f64,

@@ -2,7 +2,10 @@
 //! loop, and for the driver of an interface by frames to itself.
 
 use std::io::{self, ErrorKind, Read, Write};
-use std::net::{Ipv4Addr, SocketAddr, SocketAddrV4, TcpListener, TcpStream};
+use std::net::{Ipv4Addr, SocketAddr, SocketAddrV4, TcpListener, TcpStream, UdpSocket};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread;
+use std::time::Duration;
 
 use super::setting::Setting;
 use super::slice::within;
@@ -12,6 +15,7 @@ use fieldbeat_core::net::frames::Frames;
 use fieldbeat_core::net::packet::Packet;
 use fieldbeat_core::net::udp::Udp;
 use fieldbeat_core::net::{Datagrams, Outbox, SendMode, UdpOptions};
+use fieldbeat_core::rt::thread::helper_thread;
 use fieldbeat_core::rt::{Clock, MonotonicClock, RealtimeError};
 use fieldbeat_core::time::Time;
 
@@ -25,6 +29,9 @@ const BYTES: usize = 40;
 const EXPERIMENTAL: u16 = 0x88B5;
 /// The shortest frame.
 const FRAME: usize = 60;
+/// Until then a batch was answered, on a host that is not busy; on any other one it is waited for so long.
+const SETTLED: Duration = Duration::from_micros(500);
+const PATIENCE: Duration = Duration::from_secs(1);
 
 /// What the exchanges of each medium cost, and the drivers of these interfaces. What cannot be measured here stays as
 /// stated; why, a line each.
@@ -35,13 +42,13 @@ const FRAME: usize = 60;
 pub(super) fn costs(setting: &Setting, interfaces: &[String]) -> Result<(Costs, Vec<String>), RealtimeError> {
     within(setting, || {
         let (mut costs, mut left_out) = (Costs { measured: true, ..Costs::default() }, Vec::new());
-        let measured: [(Medium, &str, fn() -> io::Result<Exchange>); 3] = [
-            (Medium::Datagrams, "datagrams", datagrams),
-            (Medium::Streams, "connections", messages),
-            (Medium::Frames, "frames", frames),
+        let measured = [
+            (Medium::Datagrams, "datagrams", datagrams(setting.core)),
+            (Medium::Streams, "connections", messages()),
+            (Medium::Frames, "frames", frames()),
         ];
-        for (medium, what, measure) in measured {
-            match measure() {
+        for (medium, what, measured) in measured {
+            match measured {
                 Ok(cost) => costs.exchanges[medium as usize] = cost,
                 Err(error) => left_out.push(format!("{what}: {error}")),
             }
@@ -75,47 +82,58 @@ fn now() -> Time {
     MonotonicClock.now()
 }
 
-fn datagrams() -> io::Result<Exchange> {
+/// A thread on another core answers, as drives would that are simulated there: each datagram may have to wake it.
+fn datagrams(core: usize) -> io::Result<Exchange> {
     let options =
         UdpOptions { peers: BATCH, waiting: 0, room: 128, send: SendMode::Batch, dscp: 0, groups: 0 };
-    let here = SocketAddrV4::new(Ipv4Addr::LOCALHOST, 0);
-    let (mut ours, mut theirs) = (Udp::bind(here, &options)?, Udp::bind(here, &options)?);
-    let mut to = [Outbox::new(&[], 0), Outbox::new(&[], 0)];
-    for (outbox, peer) in to.iter_mut().zip([&theirs, &ours]) {
-        let address = peer.twin()?.ok_or(ErrorKind::Unsupported)?.local_addr()?;
-        let SocketAddr::V4(address) = address else { return Err(ErrorKind::Unsupported.into()) };
-        *outbox = Outbox::new(&[address; BATCH], 128);
-    }
-    let [mut requests, mut replies] = to;
-    median(|| {
-        let send_ns = hand_over(&mut ours, &mut requests);
-        take_in(&mut theirs)?;
-        hand_over(&mut theirs, &mut replies);
-        Ok([send_ns, take_in(&mut ours)?])
+    let mut ours = Udp::bind(SocketAddrV4::new(Ipv4Addr::LOCALHOST, 0), &options)?;
+    let theirs = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0))?;
+    let SocketAddr::V4(peer) = theirs.local_addr()? else { return Err(ErrorKind::Unsupported.into()) };
+    let mut requests = Outbox::new(&[peer; BATCH], 128);
+    let ended = AtomicBool::new(false);
+    thread::scope(|scope| {
+        theirs.set_read_timeout(Some(PATIENCE))?;
+        scope.spawn(|| {
+            helper_thread(Some(core));
+            let mut room = [0; 128];
+            while !ended.load(Ordering::Relaxed) {
+                if let Ok((length, from)) = theirs.recv_from(&mut room) {
+                    let _ = theirs.send_to(&room[..length], from);
+                }
+            }
+        });
+        let cost = median(|| {
+            for index in 0..BATCH {
+                requests.set_length(index, BYTES);
+                requests.post(index, true);
+            }
+            let begun = now();
+            ours.send(&mut requests);
+            let send_ns = now().since(begun);
+            thread::sleep(SETTLED);
+            Ok([send_ns, take_in(&mut ours)?])
+        });
+        ended.store(true, Ordering::Relaxed);
+        cost
     })
 }
 
-fn hand_over(socket: &mut Udp, outbox: &mut Outbox) -> u64 {
-    for index in 0..BATCH {
-        outbox.set_length(index, BYTES);
-        outbox.post(index, true);
-    }
-    let begun = now();
-    socket.send(outbox);
-    now().since(begun)
-}
-
-/// Takes a batch in. On the loopback all of it is there; an empty socket means that it was lost.
+/// Takes a batch in, which is there; what comes later costs nothing until then.
 fn take_in(socket: &mut Udp) -> io::Result<u64> {
+    let (mut taken, mut ns) = (0, 0);
     let begun = now();
-    let mut taken = 0;
     while taken < BATCH {
+        let before = now();
         match socket.receive(&mut |_| ())? {
-            0 => return Err(ErrorKind::UnexpectedEof.into()),
-            count => taken += count,
+            0 if before.since(begun) > PATIENCE.as_nanos() as u64 => return Err(ErrorKind::TimedOut.into()),
+            0 => thread::sleep(SETTLED),
+            count => {
+                taken += count;
+                ns += now().since(before);
+            }
         }
     }
-    Ok(now().since(begun))
+    Ok(ns)
 }
 
 /// Each is a write and a read.

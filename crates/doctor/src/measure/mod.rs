@@ -10,8 +10,8 @@
 //! | `costs` | what an exchange of each medium costs |
 //! | `glance` | what this host carries, in half a second |
 //!
-//! It measures wake-ups and what the kernel takes for an exchange: the parts of a cycle that the host decides. The loop's
-//! own work comes on top.
+//! It measures wake-ups and what the kernel takes for an exchange: the parts of a cycle that the host decides. The
+//! loop's own work comes on top.
 
 mod costs;
 mod findings;

@@ -11,7 +11,6 @@ use fieldbeat_core::cycle::record::Stage;
 use fieldbeat_core::cycle::{CyclePlan, Shares};
 use fieldbeat_core::time::{Ns, S};
 use fieldbeat_telemetry::bins::Bins;
-use fieldbeat_telemetry::causes::{Cause, Causes};
 use fieldbeat_telemetry::histograms::{Histograms, SAMPLES_BEYOND};
 
 /// Whether the host carried the period.
@@ -73,20 +72,11 @@ pub(super) struct Course<'a> {
     pub planned: u64,
     pub executed: u64,
     pub skipped: u64,
-    /// Cycles that were late by the loop itself.
-    pub late: u64,
     /// Each drive, with its exchanges while it was online: answered, and not.
     pub drives: Vec<(&'a str, u64, u64)>,
     pub wake: Bins,
     pub stages: Vec<Bins>,
     pub realtime: bool,
-}
-
-/// The cycles that were late by something else than a drive that did not answer.
-pub(crate) fn late_by_loop(late: u64, causes: &Causes) -> u64 {
-    let is_drive = |cause| matches!(cause, Cause::Drive(_) | Cause::Drives);
-    let tallies = causes.ranked().into_iter();
-    late.saturating_sub(tallies.filter(|tally| is_drive(tally.cause)).map(|tally| tally.count).sum())
 }
 
 /// Whether the loop was under this policy, and had all that it requires.
@@ -109,8 +99,10 @@ impl Carried {
             ..share("unanswered", *missed, answered + missed, unanswered)
         });
         let worst = of_drives.max_by(|one, other| one.value().total_cmp(&other.value()));
+        // Skipped slots are among the wake-ups, as late ones.
+        let began_late = course.wake.above(cycle.late_ns()).saturating_sub(course.skipped);
         let shares = [
-            share("late", course.late, course.executed, late),
+            share("late", began_late, course.executed, late),
             share("skipped", course.skipped, course.planned, skipped),
             worst.unwrap_or_else(|| share("unanswered", 0, 0, unanswered)),
         ];
@@ -136,7 +128,6 @@ impl Carried {
             planned: counts.planned,
             executed: counts.executed,
             skipped: counts.skipped,
-            late: counts.late_by_loop,
             drives: drives.collect(),
             wake: run.wake.bins.clone(),
             stages: run.stages.iter().map(|stage| stage.bins.clone()).collect(),
@@ -184,10 +175,7 @@ fn would_be_ns(cycle: &CyclePlan, course: &Course<'_>) -> Option<u64> {
     let late = match cycle.late_ns {
         Some(_) => 0,
         None => {
-            let delays = std::iter::once(&course.wake).chain(own.clone());
-            let delays = delays.map(|bins| at(bins, cycle.tolerated.late)).collect::<Option<Vec<u64>>>()?;
-            let shares = cycle.period_ns / cycle.late_ns().max(1);
-            delays.into_iter().max()?.saturating_mul(shares)
+            at(&course.wake, cycle.tolerated.late)?.saturating_mul(cycle.period_ns / cycle.late_ns().max(1))
         }
     };
     // A slot is executed if the loop begins it within half of the receive window, and ends the one before.
@@ -239,7 +227,6 @@ mod tests {
             planned: 10_000,
             executed: 10_000,
             skipped: 0,
-            late: 0,
             drives: vec![("x", 9_990, 10), ("y", 10_000, 0)],
             wake: Bins::from_list(wake.iter().copied()),
             stages: (0..6).map(|_| short()).collect(),
@@ -251,7 +238,9 @@ mod tests {
 
     #[test]
     fn a_run_within_what_is_tolerated_is_carried() {
-        let carried = Carried::of(&CyclePlan::default(), &Course { late: 420, skipped: 5, ..course(&QUIET) });
+        // Five of the late wake-ups are those of skipped slots.
+        let wake = [(30 * US, 9_575), (150 * US, 425)];
+        let carried = Carried::of(&CyclePlan::default(), &Course { skipped: 5, ..course(&wake) });
         let expected =
             "carried at 1 ms: 4.20 % late, 0.050 % skipped, 0.10 % unanswered by x; real-time: yes";
         assert_eq!(carried.to_string(), expected);
@@ -261,8 +250,14 @@ mod tests {
     #[test]
     fn each_share_fails_alone_with_its_key() {
         let failure = |course: Course<'_>| Carried::of(&CyclePlan::default(), &course).failure().unwrap();
-        let late = failure(Course { late: 1_001, realtime: false, ..course(&QUIET) });
-        assert!(late.starts_with("NOT CARRIED at 1 ms: 10.01 % late (1001 of 10000 cycles, tolerated 10.00 %); real-time: no; give the loop"), "{late}");
+        let wake = [(30 * US, 8_999), (150 * US, 1_001)];
+        let late = failure(Course { realtime: false, ..course(&wake) });
+        let expected =
+            "NOT CARRIED at 1 ms: 10.01 % late (1001 of 10000 cycles, tolerated 10.00 %); 2 ms would";
+        assert!(
+            late.starts_with(expected) && late.contains("; real-time: no; set period = \"2ms\" in "),
+            "{late}"
+        );
         assert!(late.ends_with("; in [cycle], max_late_share = 1 judges nothing"), "{late}");
         let skipped = failure(Course { skipped: 101, executed: 9_899, ..course(&QUIET) });
         assert!(
@@ -285,11 +280,11 @@ mod tests {
         let would_be = |wake: &[(u64, u64)], change: fn(&mut CyclePlan)| {
             let mut cycle = CyclePlan::default();
             change(&mut cycle);
-            Carried::of(&cycle, &Course { skipped: 5_000, late: 9_000, ..course(wake) }).would_be_ns
+            Carried::of(&cycle, &Course { skipped: 5_000, ..course(wake) }).would_be_ns
         };
         // A fifth begins 300 us late: from 3 ms on, that is less than a tenth of the period.
         assert_eq!(would_be(&[(30 * US, 8_000), (300 * US, 2_000)], |_| ()), Some(4 * MS));
-        // A fiftieth begins 5 ms late: the window is half of the period, and half of that may pass before a slot begins.
+        // A fiftieth begins 5 ms late: the window is half of the period, and half of that may pass before a slot.
         let seldom = [(30 * US, 9_800), (5 * MS, 200)];
         assert_eq!(would_be(&seldom, |_| ()), Some(32 * MS));
         assert_eq!(would_be(&seldom, |cycle| cycle.tolerated.skipped = 0.03), None);

@@ -12,7 +12,6 @@ use serde::{Deserialize, Serialize};
 
 pub(super) use self::bus::loads;
 pub use self::bus::{Bus, ClockNumbers};
-pub(crate) use self::carried::late_by_loop;
 pub use self::carried::{Carried, Share};
 use self::carried::{Course, bins, is_realtime};
 pub use self::cycle::{CycleNumbers, ReferenceNumbers, Stages};
@@ -238,7 +237,6 @@ impl Summary {
             planned: status.planned,
             executed: status.executed,
             skipped: status.skipped,
-            late: late_by_loop(status.late, &measured.causes),
             drives: exchanges.collect(),
             wake,
             stages,
