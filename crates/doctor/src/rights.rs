@@ -3,7 +3,7 @@
 use super::Subject;
 use super::facts::{Facts, Root};
 use super::finding::{Area, Finding, write};
-use fieldbeat_core::rt::rights::{program, setcap};
+use fieldbeat_core::rt::rights::{amount, program, setcap};
 use fieldbeat_core::rt::{Denied, Memory, Realtime};
 
 /// All of them.
@@ -53,7 +53,7 @@ fn refused(finding: Finding, denied: &Denied, subject: &Subject) -> Finding {
             (format!("refused: RLIMIT_RTPRIO is {limit}"), finding.fix(granting, undo))
         }
         Denied::Memlock { need_kib, limit_kib } => (
-            format!("refused: {need_kib} KiB needed, RLIMIT_MEMLOCK is {limit_kib} KiB"),
+            format!("refused: {} needed, RLIMIT_MEMLOCK is {limit_kib} KiB", amount(*need_kib)),
             finding.fix(granting, undo),
         ),
         Denied::FifoGroup { .. } => (
@@ -145,8 +145,11 @@ mod tests {
         assert!(fix.starts_with("sudo setcap cap_sys_nice,cap_ipc_lock+ep ") && fix.contains("limits.conf"));
         assert!(undo.starts_with("sudo setcap -r ") && undo.ends_with(&program()), "{undo}");
 
-        let little = Err(Denied::Memlock { need_kib: 100_000, limit_kib: 8_192 });
-        assert_eq!(memory(&little, &plan).found, "refused: 100000 KiB needed, RLIMIT_MEMLOCK is 8192 KiB");
+        let little = Err(Denied::Memlock { need_kib: Some(100_000), limit_kib: 8_192 });
+        assert_eq!(
+            memory(&little, &plan).found,
+            "refused: 100000 KiB of memory needed, RLIMIT_MEMLOCK is 8192 KiB"
+        );
         let group = fifo(&Err(Denied::FifoGroup { priority: 80 }), &plan);
         assert!(group.verdict == Bad && group.fix.unwrap().contains("root control group"));
 

@@ -116,8 +116,7 @@ pub fn deque<T>(capacity: usize, regions: &mut Regions) -> VecDeque<T> {
 ///
 /// [`Denied::Memlock`] with what it takes; nothing is locked then.
 pub fn lock_process() -> Result<(), Denied> {
-    let need = address_space().map_or(u64::MAX, |bytes| bytes.saturating_mul(2).saturating_add(GROWTH_BYTES));
-    check_limit(need)?;
+    check_limit(address_space().map(|bytes| bytes.saturating_mul(2).saturating_add(GROWTH_BYTES)))?;
     mlockall(MlockAllFlags::MCL_CURRENT | MlockAllFlags::MCL_FUTURE)
         .map_err(|errno| Denied::Call { call: "mlockall", error: errno.into() })
 }
@@ -179,7 +178,7 @@ impl Regions {
         }
         areas.extend(loaded_segments());
         let pages = whole_pages(areas, page_size());
-        check_limit(pages.iter().map(|(_, length)| *length as u64).sum())?;
+        check_limit(Some(pages.iter().map(|(_, length)| *length as u64).sum()))?;
         for (address, length) in pages {
             // SAFETY: mlock reads and writes nothing through the pointer; it refuses what is not mapped.
             if unsafe { libc::mlock(address as *const c_void, length) } != 0 {
@@ -191,10 +190,11 @@ impl Regions {
 }
 
 /// Whether `need` bytes may be locked.
-fn check_limit(need: u64) -> Result<(), Denied> {
+fn check_limit(need: Option<u64>) -> Result<(), Denied> {
     match memlock_limit() {
-        Some(limit) if need > limit && !holds(Capability::IpcLock) => {
-            Err(Denied::Memlock { need_kib: need.div_ceil(1 << 10), limit_kib: limit >> 10 })
+        // What is not known may be more than any limit.
+        Some(limit) if need.is_none_or(|need| need > limit) && !holds(Capability::IpcLock) => {
+            Err(Denied::Memlock { need_kib: need.map(|need| need.div_ceil(1 << 10)), limit_kib: limit >> 10 })
         }
         _ => Ok(()),
     }
@@ -382,7 +382,9 @@ mod tests {
             assert!(matches!(regions.lock(), Err(Denied::Memlock { limit_kib: 64, .. })));
             assert_eq!(locked_kib(), 0);
             match lock_process() {
-                Err(Denied::Memlock { need_kib, limit_kib: 64 }) => assert!(need_kib > 64 << 10),
+                Err(Denied::Memlock { need_kib: Some(need_kib), limit_kib: 64 }) => {
+                    assert!(need_kib > 64 << 10)
+                }
                 other => panic!("{other:?}"),
             }
             assert_eq!(locked_kib(), 0);

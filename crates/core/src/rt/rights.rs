@@ -48,14 +48,15 @@ pub enum Denied {
     },
     /// The user may not lock so much memory.
     #[error(
-        "no right to lock {need_kib} KiB of memory (RLIMIT_MEMLOCK is {limit_kib} KiB): run `{}`, or put \
-         `@realtime - memlock unlimited` into /etc/security/limits.d/ and log in anew as a member of the \
+        "no right to lock {} (RLIMIT_MEMLOCK is {limit_kib} KiB): run `{}`, or put \
+         `@realtime - memlock unlimited` into /etc/security/limits.d/ and log in again as a member of the \
          group realtime",
+        amount(*.need_kib),
         setcap()
     )]
     Memlock {
-        /// The required size, KiB.
-        need_kib: u64,
+        /// The required size, KiB. `None`: without /proc this process does not know its own.
+        need_kib: Option<u64>,
         /// The highest allowed size, KiB.
         limit_kib: u64,
     },
@@ -69,6 +70,14 @@ pub enum Denied {
     },
 }
 crate::debug_as_display!(Denied);
+
+/// So much memory.
+pub fn amount(kib: Option<u64>) -> String {
+    match kib {
+        Some(kib) => format!("{kib} KiB of memory"),
+        None => "the memory of this process, whose size only /proc says".to_owned(),
+    }
+}
 
 /// True if the calling thread holds `capability` with effect on the whole machine. Inside a user namespace (a rootless
 /// container) it does not, whatever its sets say: RT priorities and memory locks are checked against the initial one.
@@ -142,7 +151,14 @@ mod tests {
         let program = std::env::current_exe().unwrap_or_default().display().to_string();
         for (denied, limit) in [
             (Denied::Fifo { priority: 80, limit: 20 }, "RLIMIT_RTPRIO is 20"),
-            (Denied::Memlock { need_kib: 100_000, limit_kib: 8_192 }, "RLIMIT_MEMLOCK is 8192 KiB"),
+            (
+                Denied::Memlock { need_kib: Some(100_000), limit_kib: 8_192 },
+                "no right to lock 100000 KiB of memory (RLIMIT_MEMLOCK is 8192 KiB)",
+            ),
+            (
+                Denied::Memlock { need_kib: None, limit_kib: 64 },
+                "no right to lock the memory of this process, whose size only /proc says (RLIMIT_MEMLOCK is 64 KiB)",
+            ),
         ] {
             let text = denied.to_string();
             assert!(text.contains(limit), "{text}");
