@@ -81,7 +81,13 @@ fn a_mistake_in_the_arguments_is_one_line() {
         ("run", "arguments were not provided: <CONFIG>; see `fieldbeat run --help`"),
         ("run a.toml --fo 1s", "unexpected argument '--fo' found; a similar argument exists: '--for'"),
         ("demo --for 3", "invalid value '3' for '--for <TIME>': write a number with its unit"),
-        ("demo --for ''", "write a number with its unit: ns, us, ms, s, min or h, for example 10s"),
+        ("demo --for -1s", "-1s is no time: a time is not below 0; write 1s"),
+        ("soak x.toml --for -1h30m", "-1h30m is no time: a time is not below 0; write 1h30m"),
+        ("demo --for 1h30", "write a number with its unit"),
+        (
+            "demo --for ''",
+            "write a number with its unit: ns, us, ms, s, min or h, for example 10s or 1h30min",
+        ),
         (
             "demo --for",
             "a value is required for '--for <TIME>' but none was supplied; see `fieldbeat demo --help`",

@@ -149,10 +149,23 @@ fn arguments() -> Result<Arguments, Stop> {
                 | ErrorKind::DisplayVersion
                 | ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand
         ) {
-            return Stop::usage(left_out(&error).unwrap_or_else(|| one_line(&error.render().to_string())));
+            let known = negative_time(&error).or_else(|| left_out(&error));
+            return Stop::usage(known.unwrap_or_else(|| one_line(&error.render().to_string())));
         }
         error.exit()
     })
+}
+
+/// The mistake is a time below 0, which is taken for an option: its first character, or all of it.
+fn negative_time(error: &clap::Error) -> Option<String> {
+    let ContextValue::String(taken) = error.get(ContextKind::InvalidArg)? else { return None };
+    let words = std::env::args_os().filter_map(|word| word.into_string().ok());
+    let mut times = words.filter_map(|word| {
+        let time = word.strip_prefix('-').filter(|time| span(time).is_ok())?;
+        word.starts_with(taken.as_str()).then(|| time.to_owned())
+    });
+    let time = times.next()?;
+    Some(format!("-{time} is no time: a time is not below 0; write {time}"))
 }
 
 /// The mistake is to want what this program was built without.

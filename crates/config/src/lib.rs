@@ -113,7 +113,7 @@ pub fn duration(text: &str) -> Result<Duration, NotATime> {
 
 /// The text is no time.
 #[derive(Clone, Copy, PartialEq, Eq, thiserror::Error)]
-#[error("write a number with its unit: ns, us, ms, s, min or h, for example 10s")]
+#[error("write a number with its unit: ns, us, ms, s, min or h, for example 10s or 1h30min")]
 pub struct NotATime;
 fieldbeat_core::debug_as_display!(NotATime);
 

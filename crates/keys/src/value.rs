@@ -14,22 +14,39 @@ pub const HOST: &str = r"^[0-9]{1,3}(\.[0-9]{1,3}){3}$";
 /// Not nothing.
 pub const SOMETHING: &str = ".";
 /// What a time looks like.
-pub const TIME: &str = r"^ *[0-9]+(\.[0-9]+)? *(ns|us|ms|s|min|h) *$";
+pub const TIME: &str =
+    r"^ *([0-9]+(\.[0-9]+)? *h *[0-9]+(\.[0-9]+)? *m *|[0-9]+(\.[0-9]+)? *(ns|us|ms|s|min|h) *)+$";
 
 /// A time as whole nanoseconds: digits, an optional fraction, a unit; spaces around and between number and unit.
-/// `"250us"`, `"0.5s"`, `"1 ms"`.
+/// `"250us"`, `"0.5s"`, `"1 ms"`. Several of them, the largest unit first, add up: `"1h30min"`; behind hours minutes may
+/// be `m`.
 pub fn duration(text: &str) -> Option<u64> {
-    let text = text.trim_matches(' ');
-    let (number, unit) = text.split_at(text.find(|c: char| !c.is_ascii_digit() && c != '.')?);
-    let unit = match unit.trim_start_matches(' ') {
-        "ns" => 1,
-        "us" => US,
-        "ms" => MS,
-        "s" => S,
-        "min" => 60 * S,
-        "h" => 3600 * S,
-        _ => return None,
-    };
+    let (mut rest, mut total, mut above) = (text.trim_matches(' '), 0_u64, u64::MAX);
+    while !rest.is_empty() {
+        let end = rest.find(|c: char| !c.is_ascii_digit() && c != '.')?;
+        let (number, behind) = rest.split_at(end);
+        let behind = behind.trim_start_matches(' ');
+        let (unit, next) =
+            behind.split_at(behind.find(|c: char| !c.is_ascii_lowercase()).unwrap_or(behind.len()));
+        let unit = match unit {
+            "ns" => 1,
+            "us" => US,
+            "ms" => MS,
+            "s" => S,
+            "min" => 60 * S,
+            "m" if above == 3600 * S => 60 * S,
+            "h" => 3600 * S,
+            _ => return None,
+        };
+        // A second unit that is not below the first one is a slip of the pen.
+        total = if unit < above { total.checked_add(part(number, unit)?)? } else { return None };
+        (rest, above) = (next.trim_start_matches(' '), unit);
+    }
+    (above < u64::MAX).then_some(total)
+}
+
+/// A number of a unit, ns.
+fn part(number: &str, unit: u64) -> Option<u64> {
     let (whole, fraction) = match number.split_once('.') {
         Some((whole, fraction)) if !fraction.is_empty() => (whole, fraction),
         Some(_) => return None,
@@ -132,6 +149,11 @@ mod tests {
             ("1.5us", 1_500),
             ("1 ms", MS),
             (" 0.5  s ", 500 * MS),
+            ("1h30min", 5_400 * S),
+            ("1h30m", 5_400 * S),
+            ("1h 30m 20s", 5_420 * S),
+            ("1.5h0.5s", 5_400 * S + 500 * MS),
+            ("2s500ms", 2_500 * MS),
         ] {
             assert_eq!(duration(text), Some(ns), "{text}");
         }
@@ -165,6 +187,13 @@ mod tests {
             "1,5ms",
             "1\u{b5}s",
             "1.2.3ms",
+            "1s1h",
+            "1h1h",
+            "1min30m",
+            "30m",
+            "1h30",
+            "1h-1s",
+            "5124095h1000000min",
         ] {
             assert_eq!(duration(text), None, "{text}");
         }
