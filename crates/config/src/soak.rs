@@ -42,6 +42,13 @@ pub struct Swing {
     pub period_s: f64,
 }
 
+impl Swing {
+    /// Its amplitude rises within so many periods. No velocity is above that of the whole sine meanwhile, and no
+    /// acceleration above so many times that of it.
+    pub const FADE: f64 = 2.0;
+    const ACCELERATION: f64 = 1.015;
+}
+
 /// How an axis moves.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Pattern {
@@ -330,14 +337,13 @@ impl Pattern {
 /// Where the values of a sine are largest.
 fn extremes(swing: &Swing) -> [Row; 4] {
     let Swing { centre, amplitude, period_s } = *swing;
-    // While its amplitude rises, within a second, it is a little steeper than later: the bounds of that.
-    let w = std::f64::consts::TAU / period_s + 2.5;
+    let w = std::f64::consts::TAU / period_s;
     let row = |position, velocity, acceleration| Row { position, velocity, acceleration, last: false };
     [
         row(centre + amplitude, 0.0, 0.0),
         row(centre - amplitude, 0.0, 0.0),
         row(centre, amplitude * w, 0.0),
-        row(centre, 0.0, amplitude * w * w),
+        row(centre, 0.0, amplitude * w * w * Swing::ACCELERATION),
     ]
 }
 

@@ -4,8 +4,8 @@
 //! test that goes on has caused is reset: a drive whose master was killed trips by its watchdog.
 
 use super::pattern::{Shuttle, Turning, done, end_of, feed, to};
-use super::wave::{FADE_S, Wave};
-use fieldbeat_config::soak::Pattern;
+use super::wave::Wave;
+use fieldbeat_config::soak::{Pattern, Swing};
 use fieldbeat_core::axis::{
     Axis, AxisError, Command, CommandId, HeldBy, Link, Load, SilenceFaults, StopCause,
 };
@@ -351,7 +351,7 @@ impl Mover {
             }
             (_, Pattern::Sine(swing)) => {
                 let row_s = self.period_ns as f64 * f64::from(axis.plan().divisor) / S as f64;
-                let mut wave = Wave::new(*swing, 0.0, row_s, ENDLESS_S + FADE_S);
+                let mut wave = Wave::new(*swing, 0.0, Swing::FADE, row_s, ENDLESS_S);
                 feed(axis, &mut wave)?;
                 Phase::Swinging(wave, axis.follow()?, now)
             }

@@ -12,13 +12,15 @@ use fieldbeat_core::axis::{Abort, Axis, AxisError, Command, CommandId, EventKind
 use fieldbeat_core::time::{S, nanos};
 use fieldbeat_master::{Master, MasterError};
 use fieldbeat_soak::pattern::{Shuttle, Turning, feed, to, waiting};
-use fieldbeat_soak::wave::{FADE_S, Wave};
+use fieldbeat_soak::wave::Wave;
 
 use super::light::Light;
 use crate::handler::Handler;
 
 /// Time of one swing, s.
 pub const SWING_S: f64 = 2.0;
+/// The wave grows and dies away within so many swings.
+const FADE: f64 = 0.5;
 /// Axes on one wave length.
 const WAVE_LENGTH: f64 = 8.0;
 /// The speed-controlled axes turn the other way after this time.
@@ -153,7 +155,7 @@ impl Show {
     fn wave(&mut self) -> Result<(), Error> {
         let length_s = self.left().as_secs_f64();
         let period_ns = self.master.plan().cycle.period_ns;
-        if length_s < 2.0 * FADE_S || period_ns > DEMO_STREAMS_UP_TO_NS {
+        if length_s < 2.0 * FADE * SWING_S || period_ns > DEMO_STREAMS_UP_TO_NS {
             return self.swing();
         }
         let period_s = period_ns as f64 / S as f64;
@@ -161,7 +163,7 @@ impl Show {
         let mut waves: Vec<Wave> = (streamers)
             .map(|(place, axis)| {
                 let row_s = period_s * f64::from(axis.plan().divisor);
-                Wave::new(swing(axis), TAU * place as f64 / WAVE_LENGTH, row_s, length_s)
+                Wave::new(swing(axis), TAU * place as f64 / WAVE_LENGTH, FADE, row_s, length_s)
             })
             .collect();
         let mut ids = Vec::new();
