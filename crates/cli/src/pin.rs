@@ -37,6 +37,9 @@ struct Search<'a> {
 impl Pin {
     /// Runs it.
     pub fn run(self) -> Result<(), Stop> {
+        if self.write && self.config.as_os_str() == "-" {
+            return Err(Stop::usage("--write changes the file of the configuration: name it in place of -"));
+        }
         let loaded = config::load_machine(&self.config).map_err(Stop::usage)?;
         let file = self.config.display().to_string();
         let whole = DeTable::parse(&loaded.text).map_err(|error| Stop::usage(format!("{file}: {error}")))?;

@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime};
 
 use clap::Args;
-use fieldbeat_config::Configuration;
 use fieldbeat_config::soak::SoakPlan;
+use fieldbeat_config::{Configuration, Loaded, load_machine};
 use fieldbeat_core::cycle::Plan;
 use fieldbeat_core::rt::thread::helper_thread;
 use fieldbeat_core::time::{S, nanos};
@@ -26,7 +26,7 @@ use super::interrupt::{Interrupt, LOOK_EVERY};
 use super::output::{both, name_held_loads, texts};
 use super::run::start;
 use super::serving::Serving;
-use super::{Stop, complain, configuration, print, span};
+use super::{Stop, complain, print, span};
 
 /// The axes are given so long to stop and to be powered off, ns, before the master does what is left.
 const END_WITHIN_NS: u64 = 45 * S;
@@ -65,8 +65,8 @@ pub struct SoakTest {
 impl SoakTest {
     /// Runs it.
     pub fn run(self) -> Result<(), Stop> {
-        let Configuration { plan, soak, .. } = configuration(&self.config)?;
-        let text = std::fs::read_to_string(&self.config).map_err(Stop::usage)?;
+        let Loaded { configuration, text, .. } = load_machine(&self.config).map_err(Stop::usage)?;
+        let Configuration { plan, soak, .. } = configuration;
         let earlier = self.compare.iter().map(|file| earlier_run(file));
         let earlier = earlier.collect::<Result<Vec<_>, _>>().map_err(Stop::usage)?;
         let interrupt = Interrupt::catch().map_err(Stop::failed)?;
@@ -140,7 +140,7 @@ fn resume(path: &Path, text: &str, length: Option<Duration>) -> Result<(Director
 /// A new directory here.
 fn named_after(config: &Path) -> PathBuf {
     let now = humantime::format_rfc3339_seconds(SystemTime::now()).to_string();
-    let stem = config.file_stem().unwrap_or_default().to_string_lossy();
+    let stem = config.file_stem().filter(|stem| *stem != "-").unwrap_or("stdin".as_ref()).to_string_lossy();
     PathBuf::from(format!("soak-{stem}-{}", now.replace([':', '-'], "")))
 }
 

@@ -13,9 +13,13 @@ const LONGEST: u64 = 16 << 20;
 /// The one pipe that is read: its writer is there, and somebody asked for it by this name.
 const STANDARD_INPUT: &str = "/dev/stdin";
 
-/// A file's name and text; `kind` says what kind of file it should be, with an example.
+/// What stands for standard input on the command line, and what messages call it.
+const DASH: &str = "-";
+const STDIN: &str = "<stdin>";
+
+/// A file's name and text; `kind` says what kind of file it should be, with an example. `-` is standard input.
 pub fn read(path: &Path, kind: &str) -> Result<(String, String), ConfigErrors> {
-    let file = path.display().to_string();
+    let file = if path == Path::new(DASH) { STDIN.to_owned() } else { path.display().to_string() };
     let bytes =
         regular(path, kind).map_err(|why| whole_file(&file, None, format!("cannot read {file}: {why}")))?;
     // NUL is UTF-8, but in no text: UTF-16 has it in every other place, a binary file sooner or later.
@@ -34,6 +38,9 @@ pub fn read(path: &Path, kind: &str) -> Result<(String, String), ConfigErrors> {
 /// being opened: opening a pipe waits for its writer, and some devices act on being opened. Else why not, and the
 /// remedy.
 pub fn regular(path: &Path, kind: &str) -> Result<Vec<u8>, String> {
+    if path == Path::new(DASH) {
+        return bounded(io::stdin().lock(), kind);
+    }
     let failed = |error: io::Error| unreadable(&error, kind);
     let about = fs::metadata(path).map_err(failed)?;
     if about.file_type().is_fifo() && path == Path::new(STANDARD_INPUT) {
