@@ -205,7 +205,7 @@ pub use self::axis::{Axis, Command, Event, EventKind, Feedback, Group, Profile, 
 #[doc(no_inline)]
 pub use self::bus::OpenError;
 #[cfg(feature = "sim")]
-pub use self::sim::machine::{SimulateError, Simulation};
+pub use self::sim::machine::{DriveEvent, SimulateError, Simulation};
 #[doc(no_inline)]
 pub use self::telemetry::{Monitor, Run};
 #[doc(no_inline)]

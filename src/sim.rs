@@ -66,8 +66,6 @@ pub mod server {
 
 /// The machine in virtual time, at the root.
 pub(crate) mod machine {
-    #[doc(inline)]
-    pub use fieldbeat_master::simulation::SimulateError;
     /// # Example
     ///
     /// ```
@@ -118,4 +116,6 @@ pub(crate) mod machine {
     /// ```
     #[doc(inline)]
     pub use fieldbeat_master::simulation::Simulation;
+    #[doc(inline)]
+    pub use fieldbeat_master::simulation::{DriveEvent, SimulateError};
 }

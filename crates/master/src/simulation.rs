@@ -17,6 +17,7 @@ use fieldbeat_core::axis::acyclic::Acyclic;
 use fieldbeat_core::axis::{Axis, Command, Event, EventKind, Feedback, Observer, Outcome, Pulse};
 use fieldbeat_core::axis::{AxisError, CommandId};
 use fieldbeat_core::bus::OpenError;
+use fieldbeat_core::bus::load::Way;
 use fieldbeat_core::cycle::engine::{Control, Engine, Flow};
 use fieldbeat_core::cycle::record::Record;
 use fieldbeat_core::cycle::status::{Gauges, Numbers, Status};
@@ -24,6 +25,7 @@ use fieldbeat_core::cycle::{Plan, PlanErrors};
 use fieldbeat_core::logged::{LoggedCarriers, LoggedClock};
 use fieldbeat_core::net::Carriers;
 use fieldbeat_core::rt::{Clock, Granted, Regions, Wires};
+use fieldbeat_core::time::nanos;
 use fieldbeat_sim::world::{World, WorldClock, WorldOptions};
 use fieldbeat_sim::{SimPlan, Simulated};
 use fieldbeat_telemetry::tap::{Tap, Taps};
@@ -56,6 +58,21 @@ pub struct Simulation {
     judged: u64,
     /// Events seen by [`execute`](Simulation::execute) while it waited for another one.
     pub events: Vec<(usize, Event)>,
+}
+
+/// What can happen to a simulated drive.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum DriveEvent {
+    /// Its cable is pulled out: on an EtherCAT segment in front of it, so that all behind it are gone, too; on a
+    /// serial wire that of the master. The drive goes on by itself.
+    Unplug,
+    /// The cable is back.
+    Plug,
+    /// It is switched off and on again.
+    Restart,
+    /// Its hardware enable (STO) is open for so long.
+    OpenSto(Duration),
 }
 
 /// What virtual time grants.
@@ -211,6 +228,45 @@ impl Simulation {
     /// The simulated network and drives, for disconnecting drives and injecting faults.
     pub fn world(&self) -> &World {
         &self.world
+    }
+
+    /// Something happens to the simulated drive of axis `name`. What else there is of faults, [`world`](Self::world)
+    /// has by address.
+    ///
+    /// # Errors
+    ///
+    /// There is no such axis, or the machine has other drives than those of its plan.
+    pub fn happen(&self, name: &str, event: DriveEvent) -> Result<(), MasterError> {
+        let happened = self.plan.find(name).and_then(|(bus, index)| {
+            let way = bus.load(self.plan.cycle.period_ns).map(|load| load.way);
+            let (world, place) = (&self.world, bus.place_on_wire(index));
+            Some(match (event, bus.addresses().get(index), way?) {
+                (DriveEvent::Unplug, Some(at), _) => world.unplug(*at),
+                (DriveEvent::Plug, Some(at), _) => world.plug(*at),
+                (DriveEvent::Restart, Some(at), _) => world.restart(*at),
+                (DriveEvent::OpenSto(time), Some(at), _) => world.inhibit(*at, nanos(time)),
+                (DriveEvent::Unplug, _, Way::Interface(line)) => world.cut(&line, Some(place)),
+                (DriveEvent::Plug, _, Way::Interface(line)) => world.cut(&line, None),
+                (DriveEvent::Restart, _, Way::Interface(line)) => world.restart_slave(&line, place),
+                (DriveEvent::OpenSto(time), _, Way::Interface(line)) => {
+                    world.inhibit_slave(&line, place, nanos(time))
+                }
+                (DriveEvent::Unplug, _, Way::Port(port)) => world.unplug_port(&port),
+                (DriveEvent::Plug, _, Way::Port(port)) => world.plug_port(&port),
+                (DriveEvent::Restart, _, Way::Port(port)) => world.restart_on(&port, place),
+                (DriveEvent::OpenSto(time), _, Way::Port(port)) => {
+                    world.inhibit_on(&port, place, nanos(time))
+                }
+                (_, None, Way::Address(_)) => false,
+            })
+        });
+        match happened {
+            Some(true) => Ok(()),
+            _ => {
+                let axes = self.plan.axes();
+                Err(MasterError::unknown("simulated drive", name, axes.iter().map(|axis| &axis.name)))
+            }
+        }
     }
 
     /// Axis `index`, in the order of the plan.

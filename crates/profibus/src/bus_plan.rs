@@ -89,7 +89,12 @@ impl BusPlan for ProfibusPlan {
 
     fn load(&self, _period_ns: u64) -> Option<Load> {
         // What the wire takes is laid on the grid: `turn_faults`.
-        Some(Load { medium: Medium::Serial, way: Way::Port, bytes: [0; 2], frames: Vec::new() })
+        Some(Load {
+            medium: Medium::Serial,
+            way: Way::Port(self.device.clone()),
+            bytes: [0; 2],
+            frames: Vec::new(),
+        })
     }
 
     fn monitored(&self, index: usize) -> [Option<MonitorChannel>; MONITOR_CHANNELS] {

@@ -2,10 +2,13 @@
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
 
-use fieldbeat::axis::{Abort, Command, EventKind, Failure, Outcome, Row, State, StopCause, StopThen};
+use fieldbeat::axis::{Abort, Command, EventKind, Failure, Link, Outcome, Row, State, StopCause, StopThen};
 use fieldbeat::bus::linudp::{ControlWord, ErrorCode, MainState, StatusWord};
+use fieldbeat::sim::WorldOptions;
 use fieldbeat::time::Time;
+use fieldbeat::{DriveEvent, Master, Simulation};
 use fieldbeat_linudp::wire::{Request, ResponseDef};
 
 use crate::virtual_time::support::*;
@@ -204,4 +207,44 @@ fn a_task_gives_one_command_a_cycle_and_rows_that_are_checked() {
     let last = reported.lock().unwrap()[5].unwrap();
     assert_eq!(b.outcome(0, last), Some(Outcome::Failed(Failure::NotFinite)));
     assert_eq!(b.feedback(0).cycle, 3_600, "told in the cycle of the bad row");
+}
+
+/// One axis of each protocol.
+#[test]
+fn what_happens_to_a_simulated_drive_is_named_by_its_axis() {
+    let mut sim =
+        Master::from_file("../../rt-config/demo.toml").unwrap().simulate(WorldOptions::default()).unwrap();
+    let index =
+        |sim: &Simulation, name: &str| sim.plan().axes().iter().position(|axis| axis.name == name).unwrap();
+    let all =
+        |sim: &Simulation| (0..sim.plan().axes().len()).all(|axis| sim.feedback(axis).link == Link::Online);
+    assert!(sim.run_until(20_000, all));
+    let enable = |sim: &mut Simulation, axis: usize| {
+        let reset = [Command::ResetFault, Command::Reset].map(|command| sim.execute(axis, command, 5_000));
+        assert_eq!(sim.execute(axis, Command::Enable, 20_000), Ok(Some(Outcome::Done)), "{axis}: {reset:?}");
+    };
+    for name in ["a3", "u2", "k2", "m2", "l2"] {
+        let axis = index(&sim, name);
+        let powered = |sim: &Simulation| sim.feedback(axis).status.state == State::OperationEnabled;
+        sim.happen(name, DriveEvent::Unplug).unwrap();
+        assert!(sim.run_until(20_000, |sim| sim.feedback(axis).link == Link::Lost), "{name}");
+        sim.happen(name, DriveEvent::Plug).unwrap();
+        assert!(sim.run_until(60_000, all), "{name}");
+        // Some drives report it under power only.
+        enable(&mut sim, axis);
+        sim.happen(name, DriveEvent::OpenSto(Duration::from_secs(3))).unwrap();
+        // A MOONS' reports it by a configured input only: it loses its power.
+        assert!(sim.run_until(2_900, |sim| sim.feedback(axis).status.inhibited || !powered(sim)), "{name}");
+        // The others are as they were.
+        let mut others = (0..sim.plan().axes().len()).filter(|other| *other != axis);
+        assert!(others.all(|other| !sim.feedback(other).status.inhibited), "{name}");
+        sim.run(4_000);
+        assert!(sim.run_until(20_000, |sim| !sim.feedback(axis).status.inhibited), "{name}");
+        enable(&mut sim, axis);
+        assert!(powered(&sim), "{name}");
+        sim.happen(name, DriveEvent::Restart).unwrap();
+        assert!(sim.run_until(20_000, |sim| !powered(sim)) && sim.run_until(60_000, all), "{name}");
+    }
+    let unknown = sim.happen("a99", DriveEvent::Restart).unwrap_err().to_string();
+    assert!(unknown.starts_with("there is no simulated drive a99; there are: a1, a2, "), "{unknown}");
 }

@@ -22,8 +22,8 @@ pub enum Way {
     Address(Ipv4Addr),
     /// By this interface.
     Interface(String),
-    /// By a serial port.
-    Port,
+    /// By this serial port.
+    Port(String),
 }
 
 /// What the exchanges of a bus put on its wire.

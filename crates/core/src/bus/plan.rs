@@ -189,6 +189,12 @@ pub trait BusPlan: Any + Debug + Send + Sync {
         self.addresses().get(index).map(ToString::to_string)
     }
 
+    /// Its place on a wire without IP addresses, counted from 0 at the master's end.
+    #[doc(hidden)]
+    fn place_on_wire(&self, index: usize) -> usize {
+        index
+    }
+
     /// The drive that byte `at` of a frame or telegram of this bus is for, where drives have no IP address; `None`: it
     /// is for no single one.
     #[doc(hidden)]

@@ -347,7 +347,7 @@ fn lcm(one: u64, other: u64) -> u64 {
 /// The interface of a way, and its speed in Mbit/s; nothing of what stays on this computer.
 fn interface(way: &Way, drives: &[SocketAddrV4]) -> Option<(String, Option<u64>)> {
     let name = match way {
-        Way::Port => return None,
+        Way::Port(_) => return None,
         Way::Interface(name) if name.contains(':') => return None,
         Way::Interface(name) => name.clone(),
         Way::Address(own) => {
@@ -477,7 +477,12 @@ mod tests {
     fn demand(period_ns: u64, buses: &[(Medium, u64, usize, Option<u64>)]) -> Demand {
         let bus = |(medium, divisor, drives, speed): &(Medium, u64, usize, Option<u64>)| BusDemand {
             name: format!("{medium:?}").to_lowercase(),
-            load: Load { medium: *medium, way: Way::Port, bytes: [10, 8], frames: vec![1_000] },
+            load: Load {
+                medium: *medium,
+                way: Way::Port(String::new()),
+                bytes: [10, 8],
+                frames: vec![1_000],
+            },
             interface: speed.map(|speed| ("eth1".to_owned(), Some(speed))),
             due: (0..*drives as u64).map(|drive| (*divisor, drive % divisor)).collect(),
         };

@@ -175,6 +175,10 @@ impl BusPlan for EthercatPlan {
         self.drives.get(index).map(|drive| drive.slave.place.to_string())
     }
 
+    fn place_on_wire(&self, index: usize) -> usize {
+        self.drives.get(index).map_or(index, |drive| usize::from(drive.slave.place))
+    }
+
     fn addresses(&self) -> Vec<SocketAddrV4> {
         Vec::new()
     }
