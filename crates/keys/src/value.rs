@@ -18,8 +18,8 @@ pub const TIME: &str =
     r"^ *([0-9]+(\.[0-9]+)? *h *[0-9]+(\.[0-9]+)? *m *|[0-9]+(\.[0-9]+)? *(ns|us|ms|s|min|h) *)+$";
 
 /// A time as whole nanoseconds: digits, an optional fraction, a unit; spaces around and between number and unit.
-/// `"250us"`, `"0.5s"`, `"1 ms"`. Several of them, the largest unit first, add up: `"1h30min"`; behind hours minutes may
-/// be `m`.
+/// `"250us"`, `"0.5s"`, `"1 ms"`. Several of them, the largest unit first, add up: `"1h30min"`; behind hours minutes
+/// may be `m`.
 pub fn duration(text: &str) -> Option<u64> {
     let (mut rest, mut total, mut above) = (text.trim_matches(' '), 0_u64, u64::MAX);
     while !rest.is_empty() {

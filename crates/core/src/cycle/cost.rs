@@ -511,8 +511,8 @@ mod tests {
             demand(period_ns, &[(Medium::Datagrams, 1, drives, None)]).cost(&Costs::default())
         };
         let why = of(500 * US, 256).refusal().unwrap();
-        let expected = "a cycle takes about 1.16 ms (send 563 us, receive 461 us, own work 138 us), more than \
-             its period of 500 us (by stated costs; ";
+        let expected = "a cycle takes about 1.16 ms (send 563 us, receive 461 us, own work 138 us), more \
+             than its period of 500 us (by stated costs; ";
         assert!(why.starts_with(expected), "{why}");
         let remedy = "; period = \"2ms\" in [cycle] fits, or divisor = 5 with the phases 0 ... 4 in turn on \
              bus datagrams; cost = \"warn\" in [cycle] starts all the same";

@@ -157,7 +157,7 @@ mod tests {
             ),
             (
                 Denied::Memlock { need_kib: None, limit_kib: 64 },
-                "no right to lock the memory of this process, whose size only /proc says (RLIMIT_MEMLOCK is 64 KiB)",
+                "lock the memory of this process, whose size only /proc says (RLIMIT_MEMLOCK is 64 KiB)",
             ),
         ] {
             let text = denied.to_string();
