@@ -178,7 +178,7 @@ fn of_operators_there_is_one_and_its_axes_rest_without_power_when_it_is_silent_o
     await_axis(&mut watcher, is_left);
     let mut third = operator(&path, "third");
     assert_eq!(seen(&mut watcher).operator.as_deref(), Some("third"));
-    third.command(0, Order::Step { distance: 2_000.0, velocity: SPEED }).unwrap();
+    third.command(0, Order::step(2_000.0, SPEED)).unwrap();
     await_axis(&mut third, moves);
     drop(third);
     await_axis(&mut watcher, is_left);
@@ -228,7 +228,7 @@ fn a_run_fails_by_a_fault_that_its_operator_left_and_not_by_one_that_was_reset()
         let master = master(&config, &["--allow-control", "--json", report[0], report[1]]);
         let path = socket_of(&config);
         let mut operator = operator(&path, "panel");
-        order(&mut operator, "panel", Order::Step { distance: 300.0, velocity: 2.0 * SPEED });
+        order(&mut operator, "panel", Order::step(300.0, 2.0 * SPEED));
         await_axis(&mut operator, |state| state.axes[0].stopped.as_deref() == Some("drive fault"));
         await_axis(&mut operator, |state| state.axes[0].commands.is_empty());
         if is_reset {

@@ -354,7 +354,7 @@ fn a_browser_that_never_reads_loses_frames_and_is_told_and_nobody_else_does_and_
         assert_eq!(end_of(&mut operator, id), Ended::Done, "{order:?}");
     }
     // It takes longer than any test.
-    let long = operator.command(0, Order::Step { distance: 100.0, velocity: 0.5 }).unwrap();
+    let long = operator.command(0, Order::step(100.0, 0.5)).unwrap();
     let moves = |operator: &mut Operator| operator.state(u64::MAX).unwrap().axes[0].moving;
     assert!(until(LONG, || moves(&mut operator)));
     slow.say(r#"{"operate":"stop"}"#).unwrap();

@@ -411,6 +411,7 @@ mod tests {
         let operate = |request: Value| json!({ "ask": "operate", "beat": 0, "request": request });
         for (question, urgency) in [
             (operate(json!("stop")), Urgency::Stop),
+            (operate(json!({ "stop_axis": 1 })), Urgency::Stop),
             (operate(json!({ "take": { "name": "stop" } })), Urgency::Operate),
             (json!({ "ask": "status", "request": "stop" }), Urgency::Usual),
             (json!({ "ask": "claim", "drive": "x" }), Urgency::Usual),

@@ -22,7 +22,7 @@ mod watch;
 
 pub use client::{AskError, Conversation, ask};
 pub use operate::{
-    Act, AxisFacts, AxisLacks, AxisState, CommandEnd, Ended, HOLD_EVERY, HOLD_LIMIT, Notice, OPERATOR_LIMIT,
+    Act, AxisFacts, AxisLacks, AxisState, CommandEnd, Ended, Goal, HOLD_EVERY, HOLD_LIMIT, Notice, OPERATOR_LIMIT,
     OperateError, Operated, Operation, OperationState, Operator, OperatorSession, Order, Reply, Request,
     Station,
 };

@@ -35,7 +35,7 @@ impl Operation {
             self.begin(request);
             return Ok(());
         }
-        if !matches!(request, Request::Stop | Request::Act(Act::Release { .. })) {
+        if !matches!(request, Request::Stop | Request::StopAxis(_) | Request::Act(Act::Release { .. })) {
             return Err("a request before the answer to the one before");
         }
         if self.waiting.len() == MOST_WAITING {

@@ -313,7 +313,7 @@ fn name(order: Order) -> &'static str {
         Order::Enable => "enable",
         Order::Disable => "disable",
         Order::Home => "home",
-        Order::Step { .. } => "move",
+        Order::Move { .. } => "move",
         Order::ResetFault => "reset fault",
         Order::Reset => "reset",
     }

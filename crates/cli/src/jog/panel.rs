@@ -284,7 +284,7 @@ impl Panel {
             None => forbids.map_or_else(|| Ok(give(order)), |why| Err(why.to_owned())),
         };
         let velocity = self.velocities[index];
-        let step = |distance: f64| ready(&lacks.step, Order::Step { distance, velocity });
+        let step = |distance: f64| ready(&lacks.step, Order::step(distance, velocity));
         let wants = match code {
             KeyCode::Char('e') => match (&lacks.enable, &state.stopped, &state.fault) {
                 (Some(why), ..) => Err(format!("{} cannot: {why}", facts.name)),

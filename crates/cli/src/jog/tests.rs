@@ -183,15 +183,15 @@ fn each_key_does_what_the_help_line_says() {
         ('e', Order::Enable),
         ('d', Order::Disable),
         ('h', Order::Home),
-        ('+', Order::Step { distance: 1.0, velocity: 50.0 }),
-        ('-', Order::Step { distance: -1.0, velocity: 50.0 }),
+        ('+', Order::step(1.0, 50.0)),
+        ('-', Order::step(-1.0, 50.0)),
     ] {
         assert_eq!(character(&mut panel, which), [Want::Command(0, order)]);
     }
     press(&mut panel, NO, KeyCode::Down);
     press(&mut panel, NO, KeyCode::PageUp);
     character(&mut panel, '*');
-    let step = Order::Step { distance: 10.0, velocity: 100.0 };
+    let step = Order::step(10.0, 100.0);
     assert_eq!(character(&mut panel, '+'), [Want::Command(1, step)]);
     for _ in 0..20 {
         press(&mut panel, NO, KeyCode::PageUp);
@@ -343,7 +343,7 @@ fn nothing_moves_unless_the_enabling_device_is_held() {
             let mut panel = panel(&["x"], has_releases);
             assert!(panel.enable(NO, Enabling::Released).is_empty());
             assert!(panel.enable(NO, Enabling::Held).is_empty());
-            let step = Order::Step { distance: 1.0, velocity: 50.0 };
+            let step = Order::step(1.0, 50.0);
             assert_eq!(character(&mut panel, '+'), [Want::Command(0, step)]);
             assert!(runs(&mut panel, KeyCode::Right, !has_releases));
             assert!(panel.enable(ms(20_570), Enabling::Held).is_empty());

@@ -1,7 +1,8 @@
 //! One axis under an operator: its commands that have not ended, how it is stopped, and what it reports.
 
-use super::request::{AxisFacts, AxisLacks, AxisState, CommandEnd, Ended, Order};
+use super::request::{AxisFacts, AxisLacks, AxisState, CommandEnd, Ended, Goal, Order};
 use fieldbeat_core::axis::command::Jog;
+use fieldbeat_core::axis::limits::check_command;
 use fieldbeat_core::axis::{
     Abort, Axis, AxisError, Command, CommandId, EventKind, Link, MonitorChannel, Move, Outcome, Profile,
     StopThen, Target,
@@ -46,18 +47,39 @@ impl Operated {
         if let Some(id) = self.disabling().filter(|_| order == Order::Disable) {
             return Ok(id);
         }
-        let profile = self.axis.profile();
-        self.post(match order {
+        self.post(self.meant(order))
+    }
+
+    /// Whether the axis does that, and within its limits, whatever state it is in.
+    pub fn check(&self, order: Order) -> Result<(), String> {
+        let command = self.meant(order);
+        check_command(self.axis.plan(), self.axis.lacks(), &command).map_err(|failure| {
+            let (axis, command) = (self.facts.name.clone(), command.name());
+            AxisError::Refused { axis, command, failure }.to_string()
+        })
+    }
+
+    fn meant(&self, order: Order) -> Command {
+        match order {
             Order::Enable => Command::Enable,
             Order::Disable => Command::Disable,
             Order::Home => Command::Home,
-            Order::Step { distance, velocity } => Command::Move(Move {
-                target: Target::Relative(distance),
-                profile: Profile { velocity, ..profile },
-            }),
+            Order::Move { target, velocity, acceleration } => {
+                let usual = self.axis.profile();
+                let profile = Profile {
+                    velocity: velocity.unwrap_or(usual.velocity),
+                    acceleration: acceleration.unwrap_or(usual.acceleration),
+                    deceleration: acceleration.unwrap_or(usual.deceleration),
+                };
+                let target = match target {
+                    Goal::To(position) => Target::Absolute(position),
+                    Goal::By(distance) => Target::Relative(distance),
+                };
+                Command::Move(Move { target, profile })
+            }
             Order::ResetFault => Command::ResetFault,
             Order::Reset => Command::Reset,
-        })
+        }
     }
 
     /// Begins a velocity, which the dead-man time of the axis ends unless it is renewed.

@@ -9,8 +9,9 @@
 //! - A jog is named by a number that is never used again, and ends if it is not held for [`HOLD_LIMIT`]. What comes
 //!   for it later is refused.
 //! - A refused request of the operator stops all axes.
-//! - Whoever leaves, for whatever reason, leaves axes that are stopped and, unless their stop sequence holds them,
-//!   powered off.
+//! - Whoever goes away, for whatever reason, leaves axes that are stopped and, unless their stop sequence holds them,
+//!   powered off. Only who says so while nothing is under way leaves them as they are: they stand, and the master goes
+//!   on to watch those that have power.
 //!
 //! Below these rules the loop has its own: the dead-man time of each axis.
 
@@ -124,6 +125,16 @@ impl Operation {
                 self.stop();
                 Ok(Reply::Done)
             }
+            Request::StopAxis(index) => {
+                self.axis(*index)?.stop();
+                self.jog.take_if(|jog| jog.axis == *index);
+                Ok(Reply::Done)
+            }
+            Request::Check { axis, command } => {
+                self.axis(*axis)?.check(*command)?;
+                Ok(Reply::Done)
+            }
+            Request::Leave => self.hand_back(session),
             Request::Act(_) if !self.operates(session) => Err(self.not_the_operator()),
             Request::Act(act) => self.act(now, act),
         }
@@ -181,6 +192,22 @@ impl Operation {
         self.notice(None, format!("{name} operates"), None);
         self.beats += 1;
         self.operator = Some(Operator { session, name, beat: self.beats, received: now });
+        Ok(Reply::Done)
+    }
+
+    /// The operator has ended what it did, and says so.
+    fn hand_back(&mut self, session: u64) -> Result<Reply, String> {
+        if !self.operates(session) {
+            return Err(self.not_the_operator());
+        }
+        if let Some(axis) = self.axes.iter().find(|axis| axis.is_under_way()) {
+            let name = &axis.facts().name;
+            return Err(format!("axis {name} has not ended what it does: wait for that, or stop it"));
+        }
+        self.jog = None;
+        if let Some(operator) = self.operator.take() {
+            self.notice(None, format!("{} has left: power stays as it is", operator.name), None);
+        }
         Ok(Reply::Done)
     }
 

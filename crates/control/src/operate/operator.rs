@@ -32,7 +32,8 @@ pub enum OperateError {
 }
 fieldbeat_core::debug_as_display!(OperateError);
 
-/// Operates the axes of a master. When it is dropped, they are stopped and powered off.
+/// Operates the axes of a master. When it is dropped, they are stopped and powered off, unless it has
+/// [left](Operator::leave) before.
 #[derive(Debug)]
 pub struct Operator {
     way: Way,
@@ -107,6 +108,21 @@ impl Operator {
     /// Stops all axes, whoever operates them. They stay enabled.
     pub fn stop(&mut self) -> Result<(), OperateError> {
         self.ask(Request::Stop).map(drop)
+    }
+
+    /// Stops axis `axis`, whoever operates it. It stays enabled.
+    pub fn stop_axis(&mut self, axis: usize) -> Result<(), OperateError> {
+        self.ask(Request::StopAxis(axis)).map(drop)
+    }
+
+    /// Whether axis `axis` does that, and within its limits, whatever state it is in.
+    pub fn check(&mut self, axis: usize, command: Order) -> Result<(), OperateError> {
+        self.ask(Request::Check { axis, command }).map(drop)
+    }
+
+    /// Operates no more, and leaves the axes as they are. Refused while anything is under way.
+    pub fn leave(&mut self) -> Result<(), OperateError> {
+        self.ask(Request::Leave).map(drop)
     }
 
     /// The answer to any request.

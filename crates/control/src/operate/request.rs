@@ -20,6 +20,17 @@ pub enum Request {
     },
     /// Stop all axes. For everybody.
     Stop,
+    /// Stop the axis with this index. For everybody.
+    StopAxis(usize),
+    /// Whether the axis with this index does that, and within its limits, whatever state it is in. For everybody.
+    Check {
+        /// The index.
+        axis: usize,
+        /// The command.
+        command: Order,
+    },
+    /// Operate no more, and leave the axes as they are, powered ones too. Refused while anything is under way.
+    Leave,
     /// What only the operator may request.
     Act(Act),
 }
@@ -64,17 +75,38 @@ pub enum Order {
     Disable,
     /// The drive's own homing.
     Home,
-    /// A move by this distance.
-    Step {
-        /// User units, from the demand position.
-        distance: f64,
-        /// User units/s.
-        velocity: f64,
+    /// A move.
+    Move {
+        /// Its target.
+        target: Goal,
+        /// User units/s; `None`: that of its profile.
+        #[serde(default)]
+        velocity: Option<f64>,
+        /// User units/s², of both ramps; `None`: those of its profile.
+        #[serde(default)]
+        acceleration: Option<f64>,
     },
     /// Acknowledge a fault of the drive.
     ResetFault,
     /// Clear the stop latch.
     Reset,
+}
+
+/// The target of a move, user units.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Goal {
+    /// A position.
+    To(f64),
+    /// A distance from the demand position.
+    By(f64),
+}
+
+impl Order {
+    /// A move by this distance, at this velocity.
+    pub fn step(distance: f64, velocity: f64) -> Order {
+        Order::Move { target: Goal::By(distance), velocity: Some(velocity), acceleration: None }
+    }
 }
 
 /// The answer to a request that was not refused.

@@ -153,7 +153,8 @@ pub struct Return {
 
 /// How soon a question of another process is to be answered, if it is about operating the axes.
 pub fn urgency(question: &Value) -> Option<Urgency> {
-    let is_stop = question["request"] == json!(Request::Stop);
+    let request = &question["request"];
+    let is_stop = *request == json!(Request::Stop) || request["stop_axis"].is_u64();
     (question["ask"] == "operate").then_some(if is_stop { Urgency::Stop } else { Urgency::Operate })
 }
 

@@ -325,7 +325,7 @@ fn there_is_one_operator_and_the_next_one_comes_when_all_stands() {
 #[test]
 fn only_a_power_off_is_accepted_while_an_axis_is_being_stopped() {
     let mut bench = Bench::linmot().ready();
-    let step = Order::Step { distance: 1.0, velocity: SPEED };
+    let step = Order::step(1.0, SPEED);
     for order in [step, Order::Home, Order::Enable, Order::Reset, Order::ResetFault, Order::Disable] {
         let jog = bench.jog(SPEED);
         assert!(bench.hold_for(jog, 300));
@@ -369,7 +369,7 @@ fn a_refused_request_stops_what_moves() {
     assert!(!bench.axis().powered && bench.axis().commands.is_empty(), "{:?}", bench.axis());
     bench = bench.enabled();
     // So it does while a step runs.
-    bench.command(Order::Step { distance: 20.0, velocity: SPEED });
+    bench.command(Order::step(20.0, SPEED));
     bench.pass(500);
     assert!(!bench.stands());
     assert!(bench.request(Request::Act(Act::Jog { axis: 0, velocity: f64::INFINITY })).is_err());
@@ -380,7 +380,7 @@ fn a_refused_request_stops_what_moves() {
 #[test]
 fn a_step_and_a_homing_end_when_their_operator_goes_away() {
     for silent in [true, false] {
-        for command in [Order::Step { distance: 20.0, velocity: SPEED }, Order::Home] {
+        for command in [Order::step(20.0, SPEED), Order::Home] {
             let bench = Bench::linmot();
             let mut bench = if command == Order::Home { bench.enabled() } else { bench.ready() };
             bench.command(command);
@@ -407,10 +407,10 @@ fn every_command_has_its_end() {
     let last = |bench: &mut Bench| {
         bench.state().notices.into_iter().rev().find(|notice| notice.end.is_some()).unwrap()
     };
-    bench.command(Order::Step { distance: 3.0, velocity: SPEED });
+    bench.command(Order::step(3.0, SPEED));
     bench.pass(3_000);
     assert_eq!(last(&mut bench).text, "move done");
-    bench.command(Order::Step { distance: 1e6, velocity: SPEED });
+    bench.command(Order::step(1e6, SPEED));
     bench.pass(100);
     let failed = last(&mut bench);
     assert_eq!(failed.end.unwrap().how, Ended::Failed);
@@ -429,7 +429,7 @@ fn an_axis_that_holds_after_a_stop_holds_when_its_operator_has_left() {
     let holds = |text: &mut String| *text = text.replace("# stop.then = \"disable\"", "stop.then = \"hold\"");
     for (change, powered) in [(&holds as &dyn Fn(&mut String), true), (&|_: &mut String| {}, false)] {
         let mut bench = Bench::of("linmot", change).ready();
-        bench.command(Order::Step { distance: 20.0, velocity: SPEED });
+        bench.command(Order::step(20.0, SPEED));
         bench.pass(300);
         bench.operation.leave(ONE);
         bench.silence(bench.ramp_ms + 1_000);
@@ -438,6 +438,106 @@ fn an_axis_that_holds_after_a_stop_holds_when_its_operator_has_left() {
         // The next operator may have it.
         bench.must(Request::Take { name: "two".into() });
     }
+}
+
+#[test]
+fn who_leaves_while_nothing_is_under_way_leaves_power_as_it_is_and_the_next_one_takes_it_over() {
+    for sample in ["linmot", "moons", "kollmorgen"] {
+        let mut bench = Bench::of(sample, |_| {}).ready();
+        bench.must(Request::Leave);
+        assert_eq!((bench.beat, bench.state().operator), (0, None), "{sample}");
+        // Whoever has left does not operate, and is missed by nobody.
+        assert!(bench.request(Request::Act(Act::Jog { axis: 0, velocity: SPEED })).is_err());
+        assert!(bench.request(Request::Leave).is_err());
+        bench.silence(3 * OPERATOR_LIMIT / MS);
+        bench.operation.leave(ONE);
+        bench.silence(bench.ramp_ms + 1_000);
+        assert!(bench.stands() && bench.axis().operational, "{sample}: {:?}", bench.axis());
+        // The next one goes away in another way.
+        let take = Request::Take { name: "other".into() };
+        bench.operation.request(bench.now(), OTHER, 0, &take).1.unwrap();
+        bench.operation.leave(OTHER);
+        bench.silence(bench.ramp_ms + 1_000);
+        assert!(bench.stands() && !bench.axis().powered, "{sample}: {:?}", bench.axis());
+    }
+}
+
+#[test]
+fn nobody_leaves_what_has_not_ended() {
+    for jogs in [true, false] {
+        let mut bench = Bench::linmot().ready();
+        if jogs {
+            let jog = bench.jog(SPEED);
+            assert!(bench.hold_for(jog, 300));
+        } else {
+            bench.command(Order::step(20.0, SPEED));
+            bench.pass(300);
+        }
+        let refused = bench.request(Request::Leave).unwrap_err();
+        assert!(refused.contains("has not ended what it does"), "{refused}");
+        // It stops, and its operator is still the operator.
+        bench.pass(bench.ramp_ms);
+        assert!(bench.stands() && bench.axis().operational, "{:?}", bench.axis());
+        bench.must(Request::Leave);
+        bench.silence(2_000);
+        assert!(bench.axis().operational);
+    }
+}
+
+#[test]
+fn anybody_may_stop_one_axis_and_the_others_go_on() {
+    let mut bench = Bench::linmot().ready();
+    bench.must(Request::Act(Act::Command { axis: 1, command: Order::Enable }));
+    bench.pass(2_000);
+    bench.must(Request::Act(Act::Command { axis: 1, command: Order::Home }));
+    bench.pass(20_000);
+    let stop =
+        |bench: &mut Bench, axis| bench.operation.request(bench.now(), OTHER, 0, &Request::StopAxis(axis)).1;
+    let jog = bench.jog(SPEED);
+    assert!(bench.hold_for(jog, 300));
+    bench.must(Request::State { since: 0 });
+    assert_eq!(stop(&mut bench, 1), Ok(Reply::Done));
+    assert!(bench.hold_for(jog, 300) && !bench.stands(), "{:?}", bench.state());
+    assert!(stop(&mut bench, 9).unwrap_err().contains("there is no axis 9"));
+    assert!(bench.hold_for(jog, 300), "a refusal to somebody else stops nothing");
+    assert_eq!(stop(&mut bench, 0), Ok(Reply::Done));
+    assert!(bench.state().jog.is_none() && bench.hold(jog).is_err());
+    bench.pass(bench.ramp_ms);
+    assert!(bench.stands() && bench.axis().operational);
+}
+
+#[test]
+fn what_an_axis_does_not_do_is_known_before_it_is_commanded() {
+    let mut bench = Bench::linmot();
+    let check = |bench: &mut Bench, axis, command| {
+        bench.operation.request(bench.now(), WATCHER, 0, &Request::Check { axis, command }).1
+    };
+    let to = |place| Order::Move { target: Goal::To(place), velocity: None, acceleration: None };
+    assert_eq!(check(&mut bench, 0, to(10.0)), Ok(Reply::Done));
+    let refused = check(&mut bench, 0, to(1e6)).unwrap_err();
+    assert!(refused.contains("move refused: position 1000000 is outside its limit"), "{refused}");
+    assert!(check(&mut bench, 0, Order::step(1.0, 1e9)).unwrap_err().contains("velocity 1000000000 "));
+    assert!(check(&mut bench, 9, to(10.0)).unwrap_err().contains("there is no axis 9"));
+    let mut other = Bench::of("unidrive", |_| {});
+    let refused = check(&mut other, 0, to(1.0)).unwrap_err();
+    assert!(refused.contains("this drive cannot do that"), "{refused}");
+}
+
+#[test]
+fn a_move_goes_to_a_place_along_the_ramps_that_it_names() {
+    let mut bench = Bench::linmot().ready();
+    let from = bench.axis().position.unwrap();
+    let to = |place, velocity, acceleration| Order::Move { target: Goal::To(place), velocity, acceleration };
+    bench.command(to(from + 5.0, None, None));
+    bench.pass(2_000);
+    assert!((bench.axis().position.unwrap() - from - 5.0).abs() < 0.1, "{:?}", bench.axis());
+    // 10 mm/s² up to 4 mm/s: it is under way for longer than its usual ramps would take.
+    bench.command(to(from, Some(4.0), Some(10.0)));
+    bench.pass(200);
+    let velocity = bench.axis().velocity.unwrap();
+    assert!((-2.6..-1.0).contains(&velocity), "{velocity}");
+    bench.pass(3_000);
+    assert!((bench.axis().position.unwrap() - from).abs() < 0.1 && bench.axis().commands.is_empty());
 }
 
 #[test]
@@ -468,10 +568,7 @@ fn whatever_operators_do_nothing_moves_without_one() {
                 0 => Request::Take { name: "one".into() },
                 1 => Request::Stop,
                 2 => Request::Act(Act::Command { axis: 0, command: Order::Enable }),
-                3 => Request::Act(Act::Command {
-                    axis: 0,
-                    command: Order::Step { distance: 5.0, velocity: SPEED },
-                }),
+                3 => Request::Act(Act::Command { axis: 0, command: Order::step(5.0, SPEED) }),
                 4 => Request::Act(Act::Release { jog }),
                 5 => Request::Act(Act::Command { axis: rng.usize(0..3), command: Order::Reset }),
                 6 | 7 => Request::State { since: 0 },

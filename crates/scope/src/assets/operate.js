@@ -88,7 +88,7 @@ export class Operate {
   step(sign) {
     const distance = sign * Math.abs(Number(get("distance").value));
     const { velocity } = this.facts[Number(get("operated").value)];
-    if (distance) this.command({ step: { distance, velocity } });
+    if (distance) this.command({ move: { target: { by: distance }, velocity } });
   }
 
   ask(request, then) {

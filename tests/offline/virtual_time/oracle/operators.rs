@@ -250,7 +250,7 @@ impl Run {
         if let Some(Reply::Commanded(id)) = reply {
             self.tally.accepted += 1;
             match command {
-                Order::Step { .. } => self.tally.effects.count(Effect::Stepped),
+                Order::Move { .. } => self.tally.effects.count(Effect::Stepped),
                 Order::Home => self.tally.effects.count(Effect::Homed),
                 _ => return Ok(()),
             }
@@ -453,7 +453,7 @@ impl Run {
             Deed::Step { axis, percent } => {
                 let distance = velocity(self, axis, percent) / 10.0;
                 let fast = velocity(self, axis, 90);
-                self.order(client, axis.into(), Order::Step { distance, velocity: fast })?;
+                self.order(client, axis.into(), Order::step(distance, fast))?;
             }
             Deed::Home(axis) => self.order(client, axis.into(), Order::Home)?,
             Deed::Disable(axis) => self.order(client, axis.into(), Order::Disable)?,
