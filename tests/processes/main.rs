@@ -25,6 +25,7 @@
 //! | `wires` | drives of each other protocol: how they come, are asked, are lost and come back |
 //! | `scans` | the scans of a line, of devices and of a wire |
 //! | `operate` | masters that let others operate their axes, and those who do |
+//! | `axis` | commands of single axes from the shell |
 //! | `jog` | the panel in a pseudo-terminal |
 //! | `metrics` | its numbers meanwhile, over HTTP, and clients that mean no good |
 //! | `rights` | what an ordinary user may not do, and is told |
@@ -32,6 +33,7 @@
 //!
 //! Each test owns 127.x.n.0/24, by the number n of its machine, which is unique in all of these files.
 
+mod axis;
 mod churn;
 mod deaths;
 mod doctor;

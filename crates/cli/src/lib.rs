@@ -3,6 +3,7 @@
 //! Exit codes: 0 done, 1 the run failed, a drive was lost or left on, or the host is not ready, 2 bad arguments or
 //! configuration.
 
+mod axis;
 mod blackbox;
 mod check;
 mod config;
@@ -18,6 +19,7 @@ mod live;
 mod manual;
 mod masters;
 mod meter;
+mod operating;
 mod output;
 mod own;
 mod param;
@@ -81,6 +83,9 @@ enum Command {
     Config(config::Config),
     /// The state of a running master, and what it measured so far.
     Status(status::Status),
+    /// One command of an axis: enable, disable, home, move, jog, stop, reset; through the running master or by one of
+    /// its own.
+    Axis(axis::Axis),
     #[command(flatten)]
     Jog(jog::Command),
     /// Parameters of a drive: through its running master, or else by a master of its own that moves nothing.
@@ -120,6 +125,7 @@ pub fn main() -> ExitCode {
         Command::Init(init) => init.run(),
         Command::Config(config) => config.run(),
         Command::Status(status) => status.run(),
+        Command::Axis(axis) => axis.run(),
         Command::Jog(jog) => jog.run(),
         Command::Param(param) => param.run(),
         Command::Scope(scope) => scope.run(),

@@ -150,24 +150,43 @@ fn alone(plan: &Plan, drive: &str, interrupt: &Interrupt) -> Result<Way, Stop> {
     let Some(acyclic) = master.acyclics().iter().find(|acyclic| acyclic.axis() == drive).cloned() else {
         return Err(Stop::failed(format!("drive {drive} has no acyclic access")));
     };
-    let begun = Instant::now();
-    let (mut since, mut steps) = (begun, Vec::new());
+    let mut waiting = BringUp::begun();
     while !is_there(&acyclic, probe)? {
         if interrupt.is_set() {
             return Err(Stop::failed("interrupted; nothing was written"));
         }
-        let why = master.not_connected(0);
-        // A step that was seen before is one of a bring-up that fails again and again.
-        if begun.elapsed() < BRING_UP && !steps.contains(&why) {
-            steps.push(why.clone());
-            since = Instant::now();
-        }
-        // Without a reason so far, its first bring-up may take longer.
-        if since.elapsed() > PATIENCE && (why.is_some() || begun.elapsed() > BRING_UP) {
-            let why = why.as_deref().unwrap_or(NOT_YET);
+        if let Some(why) = waiting.fails(master.not_connected(0)) {
             return Err(Stop::failed(format!("drive {drive} cannot be reached: {why}")));
         }
         sleep(LOOK_EVERY);
     }
     Ok(Way::Alone { acyclic, _master: Box::new(master) })
+}
+
+/// A drive that is waited for.
+pub struct BringUp {
+    begun: Instant,
+    /// When a step was seen for the first time, last.
+    since: Instant,
+    steps: Vec<Option<String>>,
+}
+
+impl BringUp {
+    /// From now on.
+    pub fn begun() -> BringUp {
+        let begun = Instant::now();
+        BringUp { begun, since: begun, steps: Vec::new() }
+    }
+
+    /// The drive is not there yet, for this reason. Returns the reason once it is waited for no longer.
+    pub fn fails(&mut self, why: Option<String>) -> Option<String> {
+        // A step that was seen before is one of a bring-up that fails again and again.
+        if self.begun.elapsed() < BRING_UP && !self.steps.contains(&why) {
+            self.steps.push(why.clone());
+            self.since = Instant::now();
+        }
+        // Without a reason so far, its first bring-up may take longer.
+        let is_over = self.since.elapsed() > PATIENCE && (why.is_some() || self.begun.elapsed() > BRING_UP);
+        is_over.then(|| why.unwrap_or_else(|| NOT_YET.to_owned()))
+    }
 }

@@ -22,9 +22,9 @@ mod watch;
 
 pub use client::{AskError, Conversation, ask};
 pub use operate::{
-    Act, AxisFacts, AxisLacks, AxisState, CommandEnd, Ended, Goal, HOLD_EVERY, HOLD_LIMIT, Notice, OPERATOR_LIMIT,
-    OperateError, Operated, Operation, OperationState, Operator, OperatorSession, Order, Reply, Request,
-    Station,
+    Act, AxisFacts, AxisLacks, AxisState, CommandEnd, Ended, Goal, HOLD_EVERY, HOLD_LIMIT, Notice,
+    OPERATOR_LIMIT, OperateError, Operated, Operation, OperationState, Operator, OperatorSession, Order,
+    Reply, Request, Station,
 };
 pub use operate::{answer as answer_operator, urgency as operator_urgency};
 pub use remote::Remote;

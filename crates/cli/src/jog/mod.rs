@@ -8,36 +8,28 @@ mod terminal;
 mod tests;
 mod view;
 
-use std::path::{Path, PathBuf};
-use std::thread::sleep;
+use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use clap::{Args, Subcommand};
 use crossbeam_channel::RecvTimeoutError;
-use fieldbeat_control::{
-    AxisFacts, HOLD_EVERY, OperateError, OperationState, Operator, Order, Server, Station,
-};
+use fieldbeat_control::{HOLD_EVERY, OperateError, Order};
 use fieldbeat_core::cycle::Plan;
-use fieldbeat_master::Master;
-use fieldbeat_record::blackbox::default_directory;
 
 use self::enabling::{Enabling, EnablingDevice};
-use self::panel::{Panel, Want, short};
+use self::panel::{Panel, Want};
 use self::terminal::{LOOK_EVERY, Terminal};
-use super::handler::serve;
 use super::interrupt::Interrupt;
 use super::masters::Wanted;
-use super::output::{both, judge_end};
-use super::{Stop, complain, load, print, run};
+use super::operating::{Left, Reached, described, place_of};
+use super::output::both;
+use super::{Stop, load, print};
 
 /// How often the panel looks at the axes, and is drawn.
 const SHOW_EVERY: Duration = Duration::from_millis(50);
 
 /// A turn of the panel that took longer has hung: its process was stopped, or its terminal takes nothing.
 const LONGEST_TURN: Duration = Duration::from_millis(300);
-
-/// The longest that the axes are waited for at the end.
-const PATIENCE: Duration = Duration::from_secs(10);
 
 /// The command.
 #[derive(Debug, Subcommand)]
@@ -53,6 +45,9 @@ impl Command {
         jog.run()
     }
 }
+
+/// What its operator is called by.
+const COMMAND: &str = "jog";
 
 /// Arguments of `jog`.
 #[derive(Debug, Args)]
@@ -88,29 +83,20 @@ impl Jog {
         let interrupt = Interrupt::catch().map_err(Stop::failed)?;
         let wanted = Wanted { config: Some(&self.config), pid: self.pid };
         let mut reached = match wanted.find()? {
-            Some(running) => Reached::remote(&running.path, &running.status["pid"].to_string())?,
+            Some(running) => Reached::remote(&running, COMMAND)?,
             None if self.pid.is_some() => return Err(Stop::failed(wanted.missing())),
-            None => Reached::alone(plan, &interrupt)?,
+            None => Reached::alone(plan, &interrupt, COMMAND)?,
         };
+        reached.take().map_err(Stop::failed)?;
         let result = self.operate(&mut reached, selected, device, &interrupt);
-        let ended = reached.leave();
-        both(result, ended)
+        let (left, ended) = reached.go();
+        both(result, both(show(left), ended))
     }
 
     /// The index of the axis to begin with, if the numbers can be right.
     fn check(&self, plan: &Plan) -> Result<usize, Stop> {
         let axes = plan.axes();
-        let index = match &self.axis {
-            None => 0,
-            Some(name) => axes.iter().position(|axis| axis.name == *name).ok_or_else(|| {
-                let known: Vec<&str> = axes.iter().map(|axis| axis.name.as_str()).collect();
-                Stop::usage(format!(
-                    "{} has no axis {name}; it has {}",
-                    self.config.display(),
-                    known.join(", ")
-                ))
-            })?,
-        };
+        let index = self.axis.as_ref().map_or(Ok(0), |name| place_of(&self.config, plan, name))?;
         let Some(axis) = axes.get(index) else {
             return Err(Stop::usage(format!("{} has no axis to jog", self.config.display())));
         };
@@ -140,9 +126,12 @@ impl Jog {
     ) -> Result<(), Stop> {
         let mut terminal = Terminal::take()?;
         // A terminal that answers late may have cost the operation, with which nothing was done yet.
-        reached.operator.take(&own_name()).map_err(Stop::failed)?;
+        reached.take().map_err(Stop::failed)?;
         let file = self.config.file_name().unwrap_or_default().to_string_lossy();
-        let title = format!("{} of {file}", reached.title);
+        let title = match &reached.pid {
+            Some(pid) => format!("the master (pid {pid}) of {file}"),
+            None => format!("no master runs: this panel is the master of {file}"),
+        };
         let mut panel = Panel::new(
             title,
             reached.operator.axes().map_err(Stop::failed)?,
@@ -157,7 +146,7 @@ impl Jog {
         if let Some(step) = self.step {
             panel.steps[selected] = step;
         }
-        let mut operation = Operation { operator: &mut reached.operator, jog: None, begun: Instant::now() };
+        let mut operation = Operation { reached, jog: None, begun: Instant::now() };
         let mut shown: Option<Instant> = None;
         // Nor what was typed before the panel is shown.
         panel.ignore_keys(operation.now());
@@ -171,12 +160,7 @@ impl Jog {
             if interrupt.is_set() || !terminal.is_there() {
                 return Ok(());
             }
-            if let Some(own) = &reached.master {
-                if !own.master.is_running() || own.station.has_failed() {
-                    return Err(Stop::failed(OperateError::Gone));
-                }
-                own.master.alive();
-            }
+            operation.reached.look().map_err(Stop::failed)?;
             // All that came, and then what follows from it: what is older than the last of it counts for nothing.
             let mut next = terminal.events.recv_timeout(LOOK_EVERY);
             if let Some(device) = &mut device {
@@ -207,7 +191,7 @@ impl Jog {
 
 /// The panel and the operator of its axes, joined.
 struct Operation<'a> {
-    operator: &'a mut Operator,
+    reached: &'a mut Reached,
     /// The jog that runs, its velocity, and when it was held.
     jog: Option<(u64, f64, Instant)>,
     begun: Instant,
@@ -237,9 +221,9 @@ impl Operation<'_> {
                 Want::Quit => return Ok(true),
                 Want::Stop => {
                     self.jog = None;
-                    self.operator.stop()
+                    self.reached.operator.stop()
                 }
-                Want::Command(axis, order) => self.operator.command(axis, order).map(|_| {
+                Want::Command(axis, order) => self.reached.operator.command(axis, order).map(|_| {
                     // Until the axes are looked at again.
                     panel.state.axes[axis].commands.push(name(order).to_owned());
                 }),
@@ -253,7 +237,7 @@ impl Operation<'_> {
     fn jog(&mut self, panel: &mut Panel) -> Result<(), Stop> {
         let done = match (self.jog, panel.jogs(self.now())) {
             (None, None) => Ok(()),
-            (None, Some(velocity)) => self.operator.jog(panel.selected, velocity).map(|number| {
+            (None, Some(velocity)) => self.reached.operator.jog(panel.selected, velocity).map(|number| {
                 self.jog = Some((number, velocity, Instant::now()));
             }),
             (Some((number, velocity, held)), Some(wanted)) if velocity == wanted => {
@@ -261,12 +245,12 @@ impl Operation<'_> {
                     return Ok(());
                 }
                 self.jog = Some((number, velocity, Instant::now()));
-                self.operator.hold(number)
+                self.reached.operator.hold(number)
             }
             (Some((number, ..)), _) => {
                 self.jog = None;
                 panel.end_hold(self.now(), None);
-                self.operator.release(number)
+                self.reached.operator.release(number)
             }
         };
         self.note(panel, done)
@@ -274,11 +258,11 @@ impl Operation<'_> {
 
     /// Looks at the axes.
     fn look(&mut self, panel: &mut Panel) -> Result<(), Stop> {
-        let state = self.operator.state(panel.noticed()).map_err(Stop::failed)?;
+        let state = self.reached.operator.state(panel.noticed()).map_err(Stop::failed)?;
         if state.operator.is_none() {
             // The panel has hung for too long. What it operated is stopped, and moves again only by new keys.
             self.jog = None;
-            let why = match self.operator.take(&own_name()) {
+            let why = match self.reached.take() {
                 Ok(()) => "this panel was silent for too long: all axes were stopped".to_owned(),
                 Err(why) => why.to_string(),
             };
@@ -319,103 +303,8 @@ fn name(order: Order) -> &'static str {
     }
 }
 
-/// The way to the axes.
-struct Reached {
-    operator: Operator,
-    /// What is operated, for the first line of the panel.
-    title: String,
-    /// Where the master answers, if it is another process.
-    path: Option<PathBuf>,
-    master: Option<OwnMaster>,
-}
-
-/// A master of the panel's own.
-struct OwnMaster {
-    master: Master,
-    station: Station,
-    /// Answers `fieldbeat status`, and a second panel that wants to know who operates.
-    _control: Option<Server>,
-}
-
-impl Reached {
-    fn remote(path: &Path, pid: &str) -> Result<Reached, Stop> {
-        let mut operator = Operator::remote(path).map_err(Stop::failed)?;
-        operator.take(&own_name()).map_err(Stop::failed)?;
-        let title = format!("the master (pid {pid})");
-        Ok(Reached { operator, title, path: Some(path.to_owned()), master: None })
-    }
-
-    fn alone(plan: Plan, interrupt: &Interrupt) -> Result<Reached, Stop> {
-        let setup = Master::from_plan(plan).with_black_box(default_directory());
-        let master = run::start(setup, interrupt)?;
-        let axes = run::all_axes(&master)?;
-        let station = Station::start(axes, master.monitor()).map_err(Stop::failed)?;
-        let mut operator = Operator::local(&station);
-        operator.take(&own_name()).map_err(Stop::failed)?;
-        // Without it the panel works all the same.
-        let control = serve(&master, Some(station.clone())).ok();
-        let title = "no master runs: this panel is the master".to_owned();
-        let master = OwnMaster { master, station, _control: control };
-        Ok(Reached { operator, title, path: None, master: Some(master) })
-    }
-
-    /// Leaves the axes to their master, which stops them and powers them off, or ends it; prints how they are then.
-    fn leave(self) -> Result<(), Stop> {
-        let Reached { operator, path, master, .. } = self;
-        drop(operator);
-        let mut watcher = match (&path, &master) {
-            (Some(path), _) => match Operator::remote(path) {
-                Ok(watcher) => watcher,
-                // It has ended, which was reported.
-                Err(_) => return Ok(()),
-            },
-            (_, Some(own)) => {
-                own.master.stop();
-                Operator::local(&own.station)
-            }
-            (None, None) => return Ok(()),
-        };
-        let begun = Instant::now();
-        let mut left = watcher.state(0);
-        let goes_on = |state: &OperationState| match &master {
-            // Its stop has bounds of its own.
-            Some(own) => own.master.is_running(),
-            // It learns that its operator has left, and then stops the axes and switches them off.
-            None if begun.elapsed() > PATIENCE => false,
-            None => {
-                state.operator.as_ref() == Some(&own_name())
-                    || state.axes.iter().any(|axis| !axis.commands.is_empty())
-            }
-        };
-        while left.as_ref().is_ok_and(goes_on) {
-            sleep(LOOK_EVERY);
-            left = watcher.state(0);
-        }
-        if master.is_some() {
-            // It may have ended since then.
-            left = watcher.state(0);
-        }
-        let shown = match (watcher.axes(), left) {
-            (Ok(facts), Ok(left)) => show_axes(&facts, &left),
-            _ => Ok(()),
-        };
-        let Some(OwnMaster { master, .. }) = master else { return shown };
-        let run = master.finish();
-        run.measured.black_boxes.iter().for_each(|written| complain(&written.to_string()));
-        both(shown, judge_end(&run))
-    }
-}
-
-/// Prints how the axes are.
-fn show_axes(facts: &[AxisFacts], state: &OperationState) -> Result<(), Stop> {
-    for (facts, axis) in facts.iter().zip(&state.axes) {
-        let place = axis.position.map_or_else(String::new, |at| format!(" at {} {}", short(at), facts.unit));
-        let power = if axis.powered { axis.state.as_str() } else { "power off" };
-        print(format_args!("axis {}: {power}{place}", facts.name))?;
-    }
-    Ok(())
-}
-
-fn own_name() -> String {
-    format!("fieldbeat jog (pid {})", std::process::id())
+/// Prints how the axes were left.
+fn show(left: Left) -> Result<(), Stop> {
+    let Some((facts, state)) = left else { return Ok(()) };
+    facts.iter().zip(&state.axes).try_for_each(|(facts, axis)| print(described(facts, axis)))
 }

@@ -7,6 +7,7 @@ use fieldbeat_control::{AxisFacts, AxisState, OperationState, Order};
 use ratatui::crossterm::event::{Event, KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
 use ratatui::layout::Rect;
 
+use super::super::operating::short;
 use super::enabling::Enabling;
 use super::hold::{Hold, Stroke, Way};
 use super::view;
@@ -332,12 +333,6 @@ impl Panel {
             Vec::new()
         }))
     }
-}
-
-/// A number without digits that say nothing.
-pub fn short(value: f64) -> String {
-    let text = format!("{value:.6}");
-    text.trim_end_matches('0').trim_end_matches('.').to_owned()
 }
 
 fn not_enabled(facts: &AxisFacts, state: &AxisState) -> String {

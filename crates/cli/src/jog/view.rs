@@ -7,8 +7,9 @@ use ratatui::style::{Color, Modifier, Style};
 use ratatui::text::{Line, Span};
 use ratatui::widgets::{Block, Borders, Paragraph, Wrap};
 
+use super::super::operating::short;
 use super::enabling::Enabling;
-use super::panel::{Panel, short};
+use super::panel::Panel;
 
 /// The smallest terminal that shows what moves.
 pub const WIDTH: u16 = 80;

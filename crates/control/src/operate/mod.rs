@@ -20,6 +20,7 @@ pub use operated::Operated;
 pub use operation::{HOLD_LIMIT, OPERATOR_LIMIT, Operation};
 pub use operator::{HOLD_EVERY, OperateError, Operator};
 pub use request::{
-    Act, AxisFacts, AxisLacks, AxisState, CommandEnd, Ended, Goal, Notice, OperationState, Order, Reply, Request,
+    Act, AxisFacts, AxisLacks, AxisState, CommandEnd, Ended, Goal, Notice, OperationState, Order, Reply,
+    Request,
 };
 pub use station::{OperatorSession, Station, answer, urgency};

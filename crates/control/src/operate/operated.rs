@@ -52,8 +52,16 @@ impl Operated {
 
     /// Whether the axis does that, and within its limits, whatever state it is in.
     pub fn check(&self, order: Order) -> Result<(), String> {
-        let command = self.meant(order);
-        check_command(self.axis.plan(), self.axis.lacks(), &command).map_err(|failure| {
+        self.check_command(&self.meant(order))
+    }
+
+    /// The same of a velocity.
+    pub fn check_jog(&self, velocity: f64) -> Result<(), String> {
+        self.check_command(&self.jogging(velocity)?)
+    }
+
+    fn check_command(&self, command: &Command) -> Result<(), String> {
+        check_command(self.axis.plan(), self.axis.lacks(), command).map_err(|failure| {
             let (axis, command) = (self.facts.name.clone(), command.name());
             AxisError::Refused { axis, command, failure }.to_string()
         })
@@ -87,10 +95,14 @@ impl Operated {
         if self.stopping.is_some() {
             return Err(self.is_stopping());
         }
-        if let Some(why) = &self.facts.lacks.jog {
-            return Err(format!("axis {} does not jog: {why}", self.facts.name));
+        self.post(self.jogging(velocity)?)
+    }
+
+    fn jogging(&self, velocity: f64) -> Result<Command, String> {
+        match &self.facts.lacks.jog {
+            Some(why) => Err(format!("axis {} does not jog: {why}", self.facts.name)),
+            None => Ok(Command::Jog(Jog { velocity, acceleration: self.axis.profile().acceleration })),
         }
-        self.post(Command::Jog(Jog { velocity, acceleration: self.axis.profile().acceleration }))
     }
 
     /// Renews the velocity of its jog.
@@ -104,14 +116,15 @@ impl Operated {
     }
 
     /// Stops it, whatever it does: what was commanded before is aborted. Power stays as it is, but that a power off
-    /// follows where the stop has aborted one.
-    pub fn stop(&mut self) {
+    /// follows where the stop has aborted one. Returns the stop that is under way; `None`: there is nothing to stop.
+    pub fn stop(&mut self) -> Option<CommandId> {
         let active = self.axis.feedback().status.state.is_powered() || !self.open.is_empty();
         if active && self.stopping.is_none() {
             // It fails if the master has ended, or if so many stops are under way that one more changes nothing.
             self.then_off |= self.disabling().is_some();
             self.stopping = self.post(Command::Stop { deceleration: None }).ok();
         }
+        self.stopping
     }
 
     /// The same, and at the end of the stop power off, unless its stop sequence holds it.

@@ -126,12 +126,16 @@ impl Operation {
                 Ok(Reply::Done)
             }
             Request::StopAxis(index) => {
-                self.axis(*index)?.stop();
+                let stop = self.axis(*index)?.stop();
                 self.jog.take_if(|jog| jog.axis == *index);
-                Ok(Reply::Done)
+                Ok(stop.map_or(Reply::Done, |id| Reply::Commanded(id.0)))
             }
-            Request::Check { axis, command } => {
-                self.axis(*axis)?.check(*command)?;
+            Request::Check(act) => {
+                match *act {
+                    Act::Command { axis, command } => self.axis(axis)?.check(command),
+                    Act::Jog { axis, velocity } => self.axis(axis)?.check_jog(velocity),
+                    Act::Hold { .. } | Act::Release { .. } => Ok(()),
+                }?;
                 Ok(Reply::Done)
             }
             Request::Leave => self.hand_back(session),
@@ -267,7 +271,9 @@ impl Operation {
 
     fn stop(&mut self) {
         self.jog = None;
-        self.axes.iter_mut().for_each(Operated::stop);
+        for axis in &mut self.axes {
+            axis.stop();
+        }
     }
 
     fn notice(&mut self, axis: Option<usize>, text: String, end: Option<CommandEnd>) {

@@ -110,14 +110,19 @@ impl Operator {
         self.ask(Request::Stop).map(drop)
     }
 
-    /// Stops axis `axis`, whoever operates it. It stays enabled.
-    pub fn stop_axis(&mut self, axis: usize) -> Result<(), OperateError> {
-        self.ask(Request::StopAxis(axis)).map(drop)
+    /// Stops axis `axis`, whoever operates it. It stays enabled. Returns the id of the stop, whose end is a notice;
+    /// `None`: there is nothing to stop.
+    pub fn stop_axis(&mut self, axis: usize) -> Result<Option<u64>, OperateError> {
+        match self.ask(Request::StopAxis(axis))? {
+            Reply::Commanded(id) => Ok(Some(id)),
+            Reply::Done => Ok(None),
+            _ => Err(self.foreign()),
+        }
     }
 
-    /// Whether axis `axis` does that, and within its limits, whatever state it is in.
-    pub fn check(&mut self, axis: usize, command: Order) -> Result<(), OperateError> {
-        self.ask(Request::Check { axis, command }).map(drop)
+    /// Whether an axis does that, and within its limits, whatever state it is in.
+    pub fn check(&mut self, act: Act) -> Result<(), OperateError> {
+        self.ask(Request::Check(act)).map(drop)
     }
 
     /// Operates no more, and leaves the axes as they are. Refused while anything is under way.

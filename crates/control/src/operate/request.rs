@@ -22,13 +22,8 @@ pub enum Request {
     Stop,
     /// Stop the axis with this index. For everybody.
     StopAxis(usize),
-    /// Whether the axis with this index does that, and within its limits, whatever state it is in. For everybody.
-    Check {
-        /// The index.
-        axis: usize,
-        /// The command.
-        command: Order,
-    },
+    /// Whether the axis does that, and within its limits, whatever state it is in. For everybody.
+    Check(Act),
     /// Operate no more, and leave the axes as they are, powered ones too. Refused while anything is under way.
     Leave,
     /// What only the operator may request.
@@ -117,7 +112,8 @@ pub enum Reply {
     Axes(Vec<AxisFacts>),
     /// To `State`.
     State(Box<OperationState>),
-    /// To `Command`: the id of the command, whose end is a notice.
+    /// To `Command`, and to `StopAxis` where there is something to be stopped: the id of the command, whose end is a
+    /// notice.
     Commanded(u64),
     /// To `Jog`: the number of the jog.
     Jogs(u64),

@@ -496,31 +496,42 @@ fn anybody_may_stop_one_axis_and_the_others_go_on() {
     let jog = bench.jog(SPEED);
     assert!(bench.hold_for(jog, 300));
     bench.must(Request::State { since: 0 });
-    assert_eq!(stop(&mut bench, 1), Ok(Reply::Done));
+    assert!(matches!(stop(&mut bench, 1), Ok(Reply::Commanded(_))));
     assert!(bench.hold_for(jog, 300) && !bench.stands(), "{:?}", bench.state());
     assert!(stop(&mut bench, 9).unwrap_err().contains("there is no axis 9"));
     assert!(bench.hold_for(jog, 300), "a refusal to somebody else stops nothing");
-    assert_eq!(stop(&mut bench, 0), Ok(Reply::Done));
+    let Ok(Reply::Commanded(id)) = stop(&mut bench, 0) else { panic!("there is something to be stopped") };
     assert!(bench.state().jog.is_none() && bench.hold(jog).is_err());
     bench.pass(bench.ramp_ms);
     assert!(bench.stands() && bench.axis().operational);
+    let end = CommandEnd { command: id, how: Ended::Done };
+    let is_end = |notice: &Notice| notice.axis == Some(0) && notice.end.as_ref() == Some(&end);
+    assert!(bench.state().notices.iter().any(is_end), "{:?}", bench.state().notices);
+    // One without power has nothing to be stopped.
+    bench.command(Order::Disable);
+    bench.pass(1_000);
+    assert_eq!(stop(&mut bench, 0), Ok(Reply::Done));
 }
 
 #[test]
 fn what_an_axis_does_not_do_is_known_before_it_is_commanded() {
     let mut bench = Bench::linmot();
-    let check = |bench: &mut Bench, axis, command| {
-        bench.operation.request(bench.now(), WATCHER, 0, &Request::Check { axis, command }).1
-    };
+    let request =
+        |bench: &mut Bench, act| bench.operation.request(bench.now(), WATCHER, 0, &Request::Check(act)).1;
+    let check = |bench: &mut Bench, axis, command| request(bench, Act::Command { axis, command });
     let to = |place| Order::Move { target: Goal::To(place), velocity: None, acceleration: None };
     assert_eq!(check(&mut bench, 0, to(10.0)), Ok(Reply::Done));
     let refused = check(&mut bench, 0, to(1e6)).unwrap_err();
     assert!(refused.contains("move refused: position 1000000 is outside its limit"), "{refused}");
     assert!(check(&mut bench, 0, Order::step(1.0, 1e9)).unwrap_err().contains("velocity 1000000000 "));
     assert!(check(&mut bench, 9, to(10.0)).unwrap_err().contains("there is no axis 9"));
+    assert_eq!(request(&mut bench, Act::Jog { axis: 0, velocity: SPEED }), Ok(Reply::Done));
+    let refused = request(&mut bench, Act::Jog { axis: 0, velocity: 1e9 }).unwrap_err();
+    assert!(refused.contains("jog refused: velocity 1000000000 is outside its limit"), "{refused}");
     let mut other = Bench::of("unidrive", |_| {});
     let refused = check(&mut other, 0, to(1.0)).unwrap_err();
     assert!(refused.contains("this drive cannot do that"), "{refused}");
+    assert_eq!(bench.state().operator, None, "whoever asks operates nothing");
 }
 
 #[test]
