@@ -271,6 +271,11 @@ fn every_command_exists() {
 fn no_command_and_no_option_is_left_out() {
     fn visit(path: &[&str], page: &str) {
         let help = String::from_utf8(run(&[path, &["--help"]].concat()).stdout).unwrap();
+        // What stands in front of the subcommands.
+        let usage = help.lines().find_map(|line| line.strip_prefix("Usage: ")?.split_once("<COMMAND>"));
+        let before: Vec<&str> = usage.map_or(Vec::new(), |(before, _)| {
+            before.split_whitespace().filter_map(|word| word.strip_prefix('<')?.strip_suffix('>')).collect()
+        });
         let mut in_commands = false;
         for line in help.lines() {
             in_commands = match line {
@@ -283,7 +288,7 @@ fn no_command_and_no_option_is_left_out() {
             };
             let is_entry = line.starts_with("  ") && !line.starts_with("    ");
             if in_commands && is_entry && first != "help" {
-                let command = [path, &[first]].concat();
+                let command = [path, &before, &[first]].concat();
                 assert!(page.contains(&format!("`fieldbeat {}", command.join(" "))), "{}", command.join(" "));
                 visit(&command, page);
             }
