@@ -62,6 +62,7 @@ pub fn drawn(seed: u64, without: Without) -> (Shape, Vec<Round>) {
     let scales = Machine::scales(shape);
     let mut random = Rng::with_seed(seed);
     let mut round = || match operated {
+        true if random.bool() => steps::shell(&mut random, shape, &scales),
         true => steps::operated(&mut random, shape, &scales),
         false => steps::round(&mut random, shape, &scales, without),
     };

@@ -1,12 +1,15 @@
-//! Two operators, a panel in a terminal and a page in a browser, each in its own rhythm, have the axes of a machine.
+//! Two operators, a panel in a terminal and a page in a browser, each in its own rhythm, have the axes of a machine; or
+//! processes of a shell have them, each for one command.
 //!
 //! | rule | statement |
 //! |---|---|
 //! | `held` | an axis moves only while its operator holds its jog, or a step or homing of its operator has not ended |
-//! | `left` | once its operator has left, an axis comes to rest and, unless its stop holds it, its power goes off |
+//! | `left` | once its operator has left, an axis comes to rest and, unless its stop holds it, its power goes off; if it has said so, power stays as it is, and nothing moves |
 //! | `one` | nobody but the operator commands, and nobody else becomes it |
 //! | `turn` | a request out of turn, and one for a jog that has ended, is refused |
 //! | `take` | whoever left or fell silent does not keep the axes from the next operator |
+//!
+//! They hold for the next master, too, when one dies: what moves then comes to rest once its drive can be reached.
 //!
 //! What is held, who operates and who has left are worked out here from the requests and their answers alone. Bounds
 //! are counted in turns in which the drive can be reached.
@@ -23,7 +26,7 @@ use fieldbeat_control::{
 use super::judge::{GRACE, REACTION};
 use super::machine::{AXES, DEADMAN, Machine, STOP_TIMEOUT, Shape};
 use super::run::{Effect, Found, Tally};
-use super::steps::{Deed, Op, Round, Step};
+use super::steps::{Deed, Once, Op, Round, Step};
 
 /// How often the thread of the operation looks, ms.
 const LOOK: u64 = 5;
@@ -35,6 +38,10 @@ const SETTLED: u64 = 6_000;
 /// Turns in which a line comes up, and in which its axes are made ready.
 const UP: u64 = 12_000;
 const READY: u64 = 12_000;
+/// How often a process of the shell looks, and holds its jog; and for how long it tries to become the operator.
+const SHELL: u64 = 20;
+const SHELL_HOLDS: u64 = 60;
+const SHELL_TAKES: u64 = 500;
 
 type Judged = Result<(), Found>;
 
@@ -49,6 +56,31 @@ struct Client {
     silent: u64,
     /// The turn of its next request.
     next: u64,
+    shell: Option<Shell>,
+}
+
+/// A process of the shell.
+#[derive(Clone, Copy)]
+struct Shell {
+    axis: usize,
+    once: Once,
+    /// Until then it tries to become the operator; once it is, `None`.
+    takes: Option<u64>,
+    /// The command whose end it waits for, and that end.
+    waits: Option<u64>,
+    ended: Option<Ended>,
+    /// It jogs until then, and has held it then.
+    jogs: Option<(u64, u64)>,
+    /// Its own command was given.
+    given: bool,
+    /// All that is left is to leave.
+    over: bool,
+}
+
+impl Client {
+    fn new(session: u64) -> Client {
+        Client { session, beat: 0, jog: None, former: 0, holds: false, silent: 0, next: 0, shell: None }
+    }
 }
 
 /// What an axis may do, and what it does although it may not.
@@ -62,6 +94,8 @@ struct May {
     moves: Option<u64>,
     unheld: u32,
     left: u32,
+    /// Who operated last has left it as it is.
+    kept: bool,
     /// Its wire is bad until this turn.
     bad: u64,
     unplugged: Option<u64>,
@@ -96,13 +130,11 @@ impl Run {
         });
         assert!(online, "a machine that nothing has happened to comes up");
         let axes = (0..AXES).map(|axis| Operated::new(machine.sim.take_axis(axis), Vec::new()));
-        let client =
-            |session| Client { session, beat: 0, jog: None, former: 0, holds: false, silent: 0, next: 0 };
         Run {
             operation: Operation::new(axes.collect()),
             looked: machine.sim.world().now(),
             machine,
-            clients: [client(1), client(2)],
+            clients: [Client::new(1), Client::new(2)],
             sessions: 2,
             operator: None,
             axes: [May::default(); AXES],
@@ -213,7 +245,7 @@ impl Run {
             (Request::Act(_), Ok(_)) if !operates => Some("one"),
             (Request::Take { .. }, Ok(_)) if operator.is_some() && !operates => Some("one"),
             (_, Ok(_)) if operates && !in_turn => Some("turn"),
-            (_, Err(_)) if operates && in_turn && !is_act => Some("turn"),
+            (_, Err(_)) if operates && in_turn && !is_act && request != Request::Leave => Some("turn"),
             _ => None,
         };
         if let Some(rule) = wrong {
@@ -226,8 +258,20 @@ impl Run {
             self.stopped();
         }
         match (&request, &answer) {
+            (Request::Leave, Ok(_)) => {
+                self.operator = None;
+                self.tally.effects.count(Effect::HandedBack);
+                // Whatever moves from here on is moved by nobody.
+                self.stopped();
+                self.axes.iter_mut().for_each(|axis| axis.kept = true);
+            }
+            (Request::StopAxis(axis), Ok(_)) => {
+                let may = &mut self.axes[*axis];
+                (may.moves, may.jogs) = (None, may.jogs.map(|until| until.min(now)));
+            }
             (Request::Take { .. }, Ok(_)) if !operates => {
                 self.operator = Some((client, now));
+                self.axes.iter_mut().for_each(|axis| axis.kept = false);
                 if client > 0 {
                     self.tally.effects.count(Effect::OtherTook);
                 }
@@ -245,18 +289,35 @@ impl Run {
         self.request(client, Request::Act(act), true)
     }
 
-    fn order(&mut self, client: usize, axis: usize, command: Order) -> Judged {
-        let reply = self.act(client, Act::Command { axis, command })?;
-        if let Some(Reply::Commanded(id)) = reply {
-            self.tally.accepted += 1;
-            match command {
-                Order::Move { .. } => self.tally.effects.count(Effect::Stepped),
-                Order::Home => self.tally.effects.count(Effect::Homed),
-                _ => return Ok(()),
-            }
-            self.axes[axis].moves = Some(id);
+    /// Gives an axis a command; its id, if it is taken.
+    fn order(&mut self, client: usize, axis: usize, command: Order) -> Result<Option<u64>, Found> {
+        let Some(Reply::Commanded(id)) = self.act(client, Act::Command { axis, command })? else {
+            return Ok(None);
+        };
+        self.tally.accepted += 1;
+        match command {
+            Order::Move { .. } => self.tally.effects.count(Effect::Stepped),
+            Order::Home => self.tally.effects.count(Effect::Homed),
+            _ => return Ok(Some(id)),
         }
-        Ok(())
+        self.axes[axis].moves = Some(id);
+        Ok(Some(id))
+    }
+
+    /// Begins a jog; whether it is taken.
+    fn begin_jog(&mut self, client: usize, axis: usize, velocity: f64) -> Result<bool, Found> {
+        let Some(Reply::Jogs(number)) = self.act(client, Act::Jog { axis, velocity })? else {
+            return Ok(false);
+        };
+        self.tally.effects.count(Effect::Jogged);
+        self.axes.iter_mut().for_each(|axis| axis.jogs = None);
+        let now = self.now();
+        (self.axes[axis].jogs, self.axes[axis].begun) = (Some(now + HOLD_LIMIT), now);
+        let own = &mut self.clients[client];
+        if let Some(before) = own.jog.replace(number) {
+            own.former = before;
+        }
+        Ok(true)
     }
 
     /// What a client does by itself: it holds its jog, or shows that it is there.
@@ -264,6 +325,10 @@ impl Run {
         let own = &mut self.clients[client];
         if self.turn < own.silent.max(own.next) {
             return Ok(());
+        }
+        if let Some(shell) = own.shell {
+            own.next = self.turn + SHELL;
+            return self.shell(client, shell);
         }
         // A panel is as regular as its timer, a page is not.
         own.next = self.turn + if client == 0 { 60 } else { 40 + self.turn * 7 % 45 };
@@ -285,6 +350,142 @@ impl Run {
             None => self.clients[client].jog = None,
         }
         Ok(())
+    }
+
+    /// One look of a process of the shell, and what it does then.
+    fn shell(&mut self, client: usize, mut shell: Shell) -> Judged {
+        let turn = self.turn;
+        let is_operator = |run: &Run| run.operator.is_some_and(|(operator, _)| operator == client);
+        if shell.once == Once::Stop {
+            self.request(client, Request::StopAxis(shell.axis), true)?;
+            return self.exits(client);
+        }
+        if let Some(until) = shell.takes {
+            let name = "shell".to_owned();
+            if self.request(client, Request::Take { name }, true)?.is_none() {
+                let state = self.state();
+                return if state.operator.is_some() || turn > until { self.exits(client) } else { Ok(()) };
+            }
+            shell.takes = None;
+        } else if self.request(client, Request::State { since: u64::MAX }, true)?.is_none() {
+            return self.exits(client);
+        }
+        if !is_operator(self) {
+            // It was held for too long, or its request was refused for that.
+            return self.exits(client);
+        }
+        if shell.over {
+            let rests = self.state().axes.iter().all(|axis| axis.commands.is_empty());
+            if rests {
+                self.request(client, Request::Leave, true)?;
+                return self.exits(client);
+            }
+            return Ok(());
+        }
+        match (shell.waits, shell.ended) {
+            (Some(_), None) if shell.jogs.is_none() => {}
+            (Some(_), Some(how)) => {
+                (shell.waits, shell.ended) = (None, None);
+                shell.over = shell.given || how != Ended::Done;
+                if shell.given && how == Ended::Done {
+                    self.tally.effects.count(Effect::Once);
+                }
+            }
+            _ => {}
+        }
+        if let Some((until, held)) = shell.jogs {
+            self.shell_jogs(client, &mut shell, until, held)?;
+        } else if shell.waits.is_none() && !shell.over {
+            self.shell_orders(client, &mut shell)?;
+        }
+        if let Some(own) = &mut self.clients[client].shell {
+            // The end of the command that it has just given comes later.
+            *own = shell;
+        }
+        Ok(())
+    }
+
+    /// It holds its jog, or lets it go.
+    fn shell_jogs(&mut self, client: usize, shell: &mut Shell, until: u64, held: u64) -> Judged {
+        let Some(jog) = self.clients[client].jog else {
+            shell.over = true;
+            return Ok(());
+        };
+        if self.turn >= until {
+            self.clients[client].jog = None;
+            let runs = self.state().jog.is_some();
+            self.act(client, Act::Release { jog })?;
+            if runs {
+                self.stopped()
+            } else {
+                self.jogs_end()
+            }
+            (shell.jogs, shell.over) = (None, true);
+        } else if self.turn >= held + SHELL_HOLDS {
+            let axis = shell.axis;
+            shell.jogs = Some((until, self.turn));
+            if self.act(client, Act::Hold { jog })?.is_some() {
+                self.tally.effects.count(Effect::Held);
+                self.axes[axis].jogs = Some(self.now() + HOLD_LIMIT);
+            } else {
+                self.clients[client].jog = None;
+                (shell.jogs, shell.over) = (None, true);
+            }
+        }
+        Ok(())
+    }
+
+    /// What its axis needs next, or its own command.
+    fn shell_orders(&mut self, client: usize, shell: &mut Shell) -> Judged {
+        let axis = shell.axis;
+        let needed = self.way_back(axis);
+        let resets = matches!(needed, Some(Order::Reset | Order::ResetFault));
+        let own = match (shell.once, needed) {
+            (Once::Reset, Some(reset)) if resets => Some(reset),
+            (Once::Reset, _) => None,
+            (Once::Disable, _) => Some(Order::Disable),
+            // It is refused before anything is commanded.
+            (_, Some(_)) if resets => None,
+            (Once::Enable, _) => Some(Order::Enable),
+            (Once::Home, Some(Order::Enable)) => return self.shell_order(client, shell, Order::Enable),
+            (Once::Home, _) => Some(Order::Home),
+            (_, Some(needed)) => return self.shell_order(client, shell, needed),
+            (Once::Step { percent, speed }, None) => {
+                let most = self.machine.scales[axis].velocity;
+                Some(Order::step(f64::from(percent) / 1_000.0 * most, f64::from(speed) / 100.0 * most))
+            }
+            (Once::Jog { percent, ms }, None) => {
+                let velocity = f64::from(percent) / 100.0 * self.machine.scales[axis].velocity;
+                let begun = self.begin_jog(client, axis, velocity)?;
+                (shell.given, shell.over) = (true, !begun);
+                shell.jogs = begun.then_some((self.turn + u64::from(ms), self.turn));
+                return Ok(());
+            }
+            (Once::Stop, _) => unreachable!("it takes nobody's place"),
+        };
+        // A fault and a latch are reset one after the other.
+        shell.given = !(shell.once == Once::Reset && own == Some(Order::ResetFault));
+        match own {
+            Some(order) => self.shell_order(client, shell, order),
+            None => {
+                shell.over = true;
+                Ok(())
+            }
+        }
+    }
+
+    fn shell_order(&mut self, client: usize, shell: &mut Shell, order: Order) -> Judged {
+        match self.order(client, shell.axis, order)? {
+            Some(id) => shell.waits = Some(id),
+            None => shell.over = true,
+        }
+        Ok(())
+    }
+
+    /// A client's process has ended, and its connection with it.
+    fn exits(&mut self, client: usize) -> Judged {
+        self.clients[client].shell = None;
+        self.deed(client, Deed::Leave)
     }
 
     /// The axis whose jog was begun last.
@@ -324,6 +525,11 @@ impl Run {
                 Ended::Aborted => self.tally.aborted += 1,
             }
             self.axes[axis].moves.take_if(|id| *id == end.command);
+            for shell in self.clients.iter_mut().filter_map(|client| client.shell.as_mut()) {
+                if (shell.axis, shell.waits) == (axis, Some(end.command)) {
+                    shell.ended = Some(end.how);
+                }
+            }
         }
         if self.operator.is_some() && self.operator().is_none() {
             self.operator = None;
@@ -358,7 +564,7 @@ impl Run {
             *counter > RESTS
         };
         let unheld = counts(&mut may.unheld, moves && !commanded);
-        let on = truth.powered && !hold && !deaf;
+        let on = truth.powered && !hold && !deaf && !may.kept;
         may.left = if operates || !on && !moves { 0 } else { may.left + u32::from(reached) };
         let left = may.left > 2 * RESTS;
         let rule = match (unheld, left) {
@@ -395,9 +601,32 @@ impl Run {
             Op::Fault => self.machine.provoke(axis),
             Op::Late(slots) => self.machine.skip((*slots).into()),
             Op::Deaf(turns) => self.deaf = self.deaf.max(turn + u64::from(*turns)),
+            Op::Die(ms) => self.die((*ms).into()),
             other => unreachable!("{other:?} is nothing that happens to operators"),
         }
         Ok(())
+    }
+
+    /// The master's process dies, and with it all that its operators had; another one starts.
+    fn die(&mut self, ms: u64) {
+        if self.operator.take().is_some() {
+            self.tally.effects.count(Effect::OperatedDied);
+        }
+        // Its axes are dropped before the loop that they belong to.
+        self.operation = Operation::new(Vec::new());
+        self.machine.replace_master(ms);
+        let axes = (0..AXES).map(|axis| Operated::new(self.machine.sim.take_axis(axis), Vec::new()));
+        self.operation = Operation::new(axes.collect());
+        (self.since, self.deaf, self.looked) = (0, 0, self.now());
+        self.stopped();
+        for client in &mut self.clients {
+            self.sessions += 1;
+            *client = Client::new(self.sessions);
+        }
+        for axis in &mut self.axes {
+            axis.bad = axis.bad.max(self.turn + ms + GRACE);
+            axis.kept = false;
+        }
     }
 
     fn deed(&mut self, client: usize, deed: Deed) -> Judged {
@@ -416,7 +645,10 @@ impl Run {
                 let own = &mut self.clients[client];
                 self.operation.leave(own.session);
                 self.sessions += 1;
-                (own.session, own.beat, own.jog, own.silent) = (self.sessions, 0, None, 0);
+                if own.shell.is_some_and(|shell| !shell.over) {
+                    self.tally.effects.count(Effect::OnceKilled);
+                }
+                *own = Client { former: own.former, ..Client::new(self.sessions) };
                 if self.operator.take_if(|(operator, _)| *operator == client).is_some() {
                     self.tally.effects.count(Effect::Left);
                     self.stopped();
@@ -437,16 +669,8 @@ impl Run {
             Deed::Stop => drop(self.request(client, Request::Stop, true)?),
             Deed::Jog { axis, percent } => {
                 let velocity = velocity(self, axis, percent);
-                let axis = usize::from(axis);
-                if let Some(Reply::Jogs(number)) = self.act(client, Act::Jog { axis, velocity })? {
-                    self.tally.effects.count(Effect::Jogged);
-                    self.axes.iter_mut().for_each(|axis| axis.jogs = None);
-                    let now = self.now();
-                    (self.axes[axis].jogs, self.axes[axis].begun) = (Some(now + HOLD_LIMIT), now);
+                if self.begin_jog(client, axis.into(), velocity)? {
                     let own = &mut self.clients[client];
-                    if let Some(before) = own.jog.replace(number) {
-                        own.former = before;
-                    }
                     (own.holds, own.next) = (true, self.turn + 50);
                 }
             }
@@ -455,8 +679,12 @@ impl Run {
                 let fast = velocity(self, axis, 90);
                 self.order(client, axis.into(), Order::step(distance, fast))?;
             }
-            Deed::Home(axis) => self.order(client, axis.into(), Order::Home)?,
-            Deed::Disable(axis) => self.order(client, axis.into(), Order::Disable)?,
+            Deed::Home(axis) => {
+                self.order(client, axis.into(), Order::Home)?;
+            }
+            Deed::Disable(axis) => {
+                self.order(client, axis.into(), Order::Disable)?;
+            }
             Deed::Ready(axis) => {
                 if let Some(order) = self.way_back(axis.into()) {
                     self.order(client, axis.into(), order)?;
@@ -474,6 +702,18 @@ impl Run {
                 }
             }
             Deed::OutOfTurn => drop(self.request(client, Request::State { since: u64::MAX }, false)?),
+            Deed::HandBack => drop(self.request(client, Request::Leave, true)?),
+            // One process at a time.
+            Deed::Once { axis, once } => {
+                let own = &mut self.clients[client];
+                if own.shell.is_none() {
+                    let takes = Some(self.turn + SHELL_TAKES);
+                    let (waits, ended, jogs, given, over) = (None, None, None, false, false);
+                    own.shell =
+                        Some(Shell { axis: axis.into(), once, takes, waits, ended, jogs, given, over });
+                    own.next = self.turn;
+                }
+            }
         }
         Ok(())
     }

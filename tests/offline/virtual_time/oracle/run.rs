@@ -86,10 +86,16 @@ pub enum Effect {
     OutOfTurn,
     RefusedToOther,
     OtherTook,
+    HandedBack,
+    /// A command of the shell was done, and the process of one died before that.
+    Once,
+    OnceKilled,
+    /// A master died while somebody operated its axes.
+    OperatedDied,
 }
 
 impl Effect {
-    pub const ALL: [Effect; 24] = {
+    pub const ALL: [Effect; 28] = {
         use Effect::*;
         [
             Called,
@@ -116,6 +122,10 @@ impl Effect {
             OutOfTurn,
             RefusedToOther,
             OtherTook,
+            HandedBack,
+            Once,
+            OnceKilled,
+            OperatedDied,
         ]
     };
 }

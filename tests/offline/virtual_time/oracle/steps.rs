@@ -56,6 +56,33 @@ pub enum Deed {
     Former,
     /// A request for which it has not read the last answer.
     OutOfTurn,
+    /// It operates no more, and says so.
+    HandBack,
+    /// It is a process of the shell from here on, which gives this axis one command and ends. What happens to a client
+    /// happens to it: it may leave sooner, and be silent.
+    Once {
+        axis: u8,
+        once: Once,
+    },
+}
+
+/// A command of the shell. A motion enables and homes first, as `--enable --home` do.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Once {
+    Enable,
+    Disable,
+    Home,
+    /// At so many per cent of the largest speed: a slow one outlives whoever commanded it.
+    Step {
+        percent: i8,
+        speed: u8,
+    },
+    Jog {
+        percent: i8,
+        ms: u16,
+    },
+    Stop,
+    Reset,
 }
 
 /// What happens to one axis.
@@ -497,6 +524,49 @@ pub fn operated(random: &mut Rng, shape: Shape, scales: &[Scale]) -> Round {
             }
             round.push(Step { at, axis, op: Op::Operate { client: operator, deed: Deed::Ready(axis) } });
         }
+    }
+    round
+}
+
+/// Commands of the shell, one after the other and sometimes at the same time, and all that ends their processes and
+/// their master.
+pub fn shell(random: &mut Rng, shape: Shape, scales: &[Scale]) -> Round {
+    let (mut round, mut at) = (Round::new(), 0);
+    let count = scales.len() as u8;
+    for _ in 0..random.u8(4..12) {
+        let axis = random.u8(..count);
+        let scale = &scales[usize::from(axis)];
+        let client = u8::from(random.u8(..6) == 0);
+        let once = match random.u8(..16) {
+            0 | 1 => Once::Enable,
+            2 => Once::Disable,
+            3 if scale.homes => Once::Home,
+            4..=8 if scale.positions => {
+                Once::Step { percent: percent(random), speed: *random.choice(&[5, 15, 90]).unwrap_or(&5) }
+            }
+            9 | 10 => Once::Stop,
+            11 | 12 => Once::Reset,
+            _ => Once::Jog { percent: percent(random), ms: random.u16(20..600) },
+        };
+        // A segment takes thousands of turns to come back.
+        let rare = shape.kind == Kind::Kollmorgen && random.u8(..8) != 0;
+        let deed = |deed| Op::Operate { client, deed };
+        let op = match random.u8(..24) {
+            0 if !rare => Op::Die(random.u8(1..)),
+            1 if !rare => Op::Unplug(random.u8(1..60)),
+            2 => Op::Lose { requests: random.u8(..4), replies: random.u8(..4) },
+            3 => Op::Fault,
+            4 => Op::Late(random.u8(1..14)),
+            5 => Op::Deaf(random.u8(10..)),
+            // It is killed, or held for a while.
+            6..=8 => deed(Deed::Leave),
+            9 | 10 => deed(Deed::Silent(random.u16(100..2_000))),
+            11 | 12 => deed(Deed::HandBack),
+            _ => deed(Deed::Once { axis, once }),
+        };
+        round.push(Step { at, axis, op });
+        let longest = *random.choice(&[1, 60, 300, 900]).unwrap_or(&1);
+        at += random.u16(..longest);
     }
     round
 }
