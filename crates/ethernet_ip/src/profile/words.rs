@@ -160,13 +160,14 @@ impl Rules {
     }
 
     /// How a drive that stands at `demand` is sent to a position. What it makes of a position behind the end of its
-    /// counts is not documented: it may go round the other way. There it is sent by the distance.
+    /// counts is not documented: it may go round the other way. There it is sent by the distance. No way of a linear
+    /// axis leads over that end.
     pub(super) fn target(&self, position: f64, demand: i64) -> Target {
         let target = self.position(position, demand);
         let way = target.wrapping_sub(demand as i32);
         match (demand as i32).checked_add(way) {
-            Some(_) => Target::Absolute(target),
-            None => Target::Relative(way),
+            None if self.units.modulo.is_some() => Target::Relative(way),
+            _ => Target::Absolute(target),
         }
     }
 

@@ -5,9 +5,11 @@
 //! | `mod` | a machine of drives that the test shares with the world, and what came to them |
 //! | `lost` | masters that die, and come back; drives that take no stop at the end |
 //! | `drives` | what a drive is and has: versions, encoders, inputs |
+//! | `around` | moves over the end of the counts |
 //! | `edges` | what the command word does, packet by packet |
 //! | `long` | an hour of packets by two clocks |
 
+mod around;
 mod drives;
 mod edges;
 mod long;
