@@ -6,7 +6,7 @@ use clap::{Args, Subcommand};
 use fieldbeat_core::axis::acyclic::Notation;
 use fieldbeat_core::axis::{CallError, NotationError, ParameterError, Request};
 use fieldbeat_tools::Drive;
-use serde_json::json;
+use serde_json::{Value, json};
 
 use super::interrupt::Interrupt;
 use super::reach::Reach;
@@ -22,29 +22,18 @@ pub struct Param {
 
 #[derive(Debug, Subcommand)]
 enum What {
-    /// Reads a parameter.
+    /// Reads a parameter, or several of a Unidrive in one request.
     Get(Get),
-    /// Writes a parameter and reads it back.
+    /// Writes a parameter and reads it back, or several of a Unidrive in one request.
     Set(Set),
     /// Lists the parameters that the drive has.
     List(List),
 }
 
-/// The way to read or write `address` of a drive, once `check` has nothing against it.
-fn reach_to(
-    drive: &Drive,
-    access: &'static str,
-    address: &str,
-    check: impl FnOnce(&dyn Notation) -> Result<(), NotationError>,
-    interrupt: &Interrupt,
-) -> Result<Reach, Stop> {
-    let check = |notation: &dyn Notation| {
-        check(notation).map_err(|error| {
-            let request = Box::new(Request { access, ..Request::read(&drive.drive, address) });
-            failed(ParameterError::Notation { request, error })
-        })
-    };
-    Reach::open(drive, check, interrupt)
+/// What is wrong with an address, or with its value.
+fn wrong(drive: &Drive, access: &'static str, address: &str) -> impl Fn(NotationError) -> Stop {
+    let request = Request { access, ..Request::read(&drive.drive, address) };
+    move |error| failed(ParameterError::Notation { request: Box::new(request.clone()), error })
 }
 
 #[derive(Debug, Args)]
@@ -55,7 +44,10 @@ struct Get {
     /// Unidrive, 0x6041:0 (with a type 0x6041:0.u16, all subindices 0x1C12:ca) of a drive on EtherCAT, AC, R:3 or
     /// 0x01/1/7.text of a MOONS', C0061, C0039/2 (a subcode), C0150.u16 or 1/3 (a record) of a Lenze, or a name.
     address: String,
-    /// Print one JSON object.
+    /// Of a Unidrive: so many parameters that follow one another, in one request.
+    #[arg(long, value_name = "N", default_value_t = 1, hide_default_value = true)]
+    count: usize,
+    /// Print one JSON object, or an array of them with --count.
     #[arg(long)]
     json: bool,
 }
@@ -69,10 +61,10 @@ struct Set {
     /// subcode) or C0150.u16 of a Lenze, or a name.
     address: String,
     /// A whole number, or its bits as 0x....; for a Unidrive, a MOONS' or a Lenze also a scaled value with a point,
-    /// 1500.0.
-    #[arg(allow_negative_numbers = true)]
-    value: String,
-    /// Print one JSON object.
+    /// 1500.0. Several values are those of the parameters of a Unidrive that follow one another, in one request.
+    #[arg(required = true, allow_negative_numbers = true, value_name = "VALUE")]
+    values: Vec<String>,
+    /// Print one JSON object, or an array of them for several values.
     #[arg(long)]
     json: bool,
 }
@@ -82,39 +74,83 @@ impl Param {
     pub fn run(self) -> Result<(), Stop> {
         let interrupt = Interrupt::catch().map_err(Stop::failed)?;
         match self.what {
-            What::Get(get) => {
-                let check = |notation: &dyn Notation| notation.read(&get.address).map(drop);
-                let reach = reach_to(&get.drive, "read", &get.address, check, &interrupt)?;
-                let (raw, text) = reach.access().read_shown(&get.address).map_err(failed)?;
-                tell(&reach, &get.address, raw, &text, get.json)
-            }
+            What::Get(get) => get.run(&interrupt),
             What::Set(set) => set.run(&interrupt),
             What::List(list) => list.run(&interrupt),
         }
     }
 }
 
+impl Get {
+    fn run(self, interrupt: &Interrupt) -> Result<(), Stop> {
+        let Get { drive, address, count, json } = &self;
+        let check = |notation: &dyn Notation| {
+            let known = match count {
+                1 => notation.read(address).map(drop),
+                count => notation.block(address, *count).map(drop),
+            };
+            known.map_err(wrong(drive, "read", address))
+        };
+        let reach = Reach::open(drive, check, interrupt)?;
+        if *count != 1 {
+            let values = reach.access().read_several(address, *count).map_err(failed)?;
+            return tell_all(&reach, &values, *json);
+        }
+        let (raw, text) = reach.access().read_shown(address).map_err(failed)?;
+        tell(&reach, address, raw, &text, *json)
+    }
+}
+
 impl Set {
     fn run(self, interrupt: &Interrupt) -> Result<(), Stop> {
+        match &self.values[..] {
+            [value] => self.set_one(value, interrupt),
+            values => self.set_several(values, interrupt),
+        }
+    }
+
+    /// Several parameters, in one request.
+    fn set_several(&self, values: &[String], interrupt: &Interrupt) -> Result<(), Stop> {
+        let mut raw = Vec::new();
         let check = |notation: &dyn Notation| {
-            let raw = notation.value(&self.address, &self.value)?;
-            notation.write(&self.address, raw).map(drop)
-        };
-        let reach = reach_to(&self.drive, "write", &self.address, check, interrupt)?;
-        let notation = reach.notation();
-        let written = reach.access().write(&self.address, &self.value).map_err(|error| match error {
-            // There is no axis here to disable.
-            ParameterError::Failed { why: CallError::Commands, .. } if reach.is_alone() => {
-                Stop::failed(format!(
-                    "drive {}: write {} = {}: it may command the drive, which another master, or its own \
-                     panel or terminals, has switched on: disable it there first",
-                    reach.drive(),
-                    self.address,
-                    self.value
-                ))
+            let block = notation.block(&self.address, values.len());
+            let block = block.map_err(wrong(&self.drive, "write", &self.address))?;
+            for (address, value) in block.addresses.iter().zip(values) {
+                raw.push(notation.value(address, value).map_err(wrong(&self.drive, "write", address))?);
             }
-            error => failed(error),
-        })?;
+            Ok(())
+        };
+        let reach = Reach::open(&self.drive, check, interrupt)?;
+        let notation = reach.notation();
+        reach.access().write_several(&self.address, &raw).map_err(|error| not_written(&reach, error))?;
+        let read = reach.access().read_several(&self.address, raw.len()).map_err(failed)?;
+        tell_all(&reach, &read, self.json)?;
+        let others = read
+            .iter()
+            .zip(&raw)
+            .filter(|((address, read), written)| !notation.is_same(address, **written, *read));
+        let lines: Vec<String> = others
+            .map(|((address, read), written)| {
+                let (written, read) = (notation.show(address, *written), notation.show(address, *read));
+                format!(
+                    "drive {}: {address} = {written} was written, and it is {read} now; something else sets it",
+                    reach.drive()
+                )
+            })
+            .collect();
+        if lines.is_empty() { Ok(()) } else { Err(Stop::failed(lines.join("\n"))) }
+    }
+
+    fn set_one(&self, value: &str, interrupt: &Interrupt) -> Result<(), Stop> {
+        let check = |notation: &dyn Notation| {
+            let call = notation.value(&self.address, value);
+            let call = call.and_then(|raw| notation.write(&self.address, raw));
+            call.map(drop).map_err(wrong(&self.drive, "write", &self.address))
+        };
+        let reach = Reach::open(&self.drive, check, interrupt)?;
+        let notation = reach.notation();
+        let written = reach.access().write(&self.address, value);
+        let written = written.map_err(|error| not_written(&reach, error))?;
         let mut values = Vec::new();
         for address in notation.read_back(&self.address) {
             let (read, text) = match reach.access().read_shown(&address) {
@@ -134,7 +170,7 @@ impl Set {
                 "drive {}: {} = {} was written, and {address} is {} now; something else sets it",
                 reach.drive(),
                 self.address,
-                self.value,
+                value,
                 text
             ))),
         }
@@ -150,10 +186,38 @@ fn failed(error: ParameterError) -> Stop {
     }
 }
 
+/// Why a write was not done.
+fn not_written(reach: &Reach, error: ParameterError) -> Stop {
+    match error {
+        // There is no axis here to disable.
+        ParameterError::Failed { request, why: CallError::Commands } if reach.is_alone() => {
+            Stop::failed(format!(
+                "{request}: it may command the drive, which another master, or its own panel or terminals, has \
+                 switched on: disable it there first"
+            ))
+        }
+        error => failed(error),
+    }
+}
+
+fn shown(reach: &Reach, address: &str, raw: u64, text: &str) -> Value {
+    let value = reach.notation().number(address, raw);
+    json!({ "drive": reach.drive(), "address": address, "raw": raw, "value": value, "text": text })
+}
+
+/// Several parameters, with their raw values.
+fn tell_all(reach: &Reach, values: &[(String, u64)], as_json: bool) -> Result<(), Stop> {
+    let text = |address: &str, raw: u64| reach.notation().show(address, raw);
+    if as_json {
+        let all = values.iter().map(|(address, raw)| shown(reach, address, *raw, &text(address, *raw)));
+        return print(Value::Array(all.collect()));
+    }
+    values.iter().try_for_each(|(address, raw)| tell(reach, address, *raw, &text(address, *raw), false))
+}
+
 fn tell(reach: &Reach, address: &str, raw: u64, text: &str, as_json: bool) -> Result<(), Stop> {
     if !as_json {
         return print(format_args!("{} {address}: {text}", reach.drive()));
     }
-    let value = reach.notation().number(address, raw);
-    print(json!({ "drive": reach.drive(), "address": address, "raw": raw, "value": value, "text": text }))
+    print(shown(reach, address, raw, text))
 }

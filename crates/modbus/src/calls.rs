@@ -3,8 +3,9 @@
 
 use super::notation::{NOT_TAKEN, READ, Target, UNREACHABLE, WRITE};
 use super::parameter::{Addressing, Parameter, Width};
-use super::wire::{RegistersBuffer, Request, Response};
+use super::wire::{REGISTERS_MAX, Registers, RegistersBuffer, Request, Response};
 use fieldbeat_core::axis::Link;
+use fieldbeat_core::axis::acyclic::long::{self, Kept, LOAD, PART, READ_SEVERAL, SIZE, STORE};
 use fieldbeat_core::axis::acyclic::{Answer, Call, CallError, Commanding, Port, Posted};
 use fieldbeat_core::rt::Regions;
 use fieldbeat_core::time::Time;
@@ -14,6 +15,11 @@ const EVERY_ON: u32 = 4;
 /// ... and while it is off.
 const EVERY_OFF: u32 = 2;
 
+/// Bytes of all parameters that one request reads or writes.
+const BLOCK: usize = 2 * REGISTERS_MAX as usize;
+/// The most calls that end in one cycle because they need no request: all those of one block.
+const MOST_PARTS: usize = BLOCK / size_of::<u64>();
+
 /// The calls that command a drive whose cyclic outputs are `mapped`.
 pub(super) fn commanding(mapped: impl IntoIterator<Item = Parameter>) -> Commanding {
     let key = |parameter| Target { parameter, width: Width::Word }.pack();
@@ -21,11 +27,17 @@ pub(super) fn commanding(mapped: impl IntoIterator<Item = Parameter>) -> Command
 }
 
 /// Why a call of the application is refused while the power of its drive is on: it writes a parameter that is
-/// exchanged, or none that is known to be harmless.
+/// exchanged, or none that is known to be harmless. Of a block none is written then.
 fn refusal(call: &Call, mapped: &[u32]) -> Option<CallError> {
-    let target = Target::unpack(call.address).filter(|_| call.service == WRITE)?;
-    let is_mapped = mapped.contains(&Target { width: Width::Word, ..target }.pack());
-    (is_mapped || !is_harmless(target.parameter)).then_some(CallError::Commands)
+    let target = Target::unpack(call.address)?;
+    let commands = |place: &u32| {
+        let parameter = u8::try_from(*place).ok().and_then(|place| target.parameter.offset(place));
+        let is_mapped = |parameter| mapped.contains(&Target { parameter, width: Width::Word }.pack());
+        parameter.is_none_or(|parameter| is_mapped(parameter) || !is_harmless(parameter))
+    };
+    // The first one that commands is soon found: few that do not follow one another.
+    let place = (0..target.written(call)).find(commands)?;
+    Some(if call.service == WRITE { CallError::Commands } else { CallError::CommandsAt(place) })
 }
 
 /// Written while power is on, it moves nothing, and changes no state: rates of ramps, thresholds, gains and limits. All
@@ -53,6 +65,8 @@ pub(super) struct Calls {
     since: u32,
     /// A call that commands the drive was sent, and is not answered. Its ticket may be gone.
     owed: bool,
+    /// The values of a block: what was read, or what is to be written.
+    block: Kept<BLOCK>,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -60,6 +74,8 @@ struct Active {
     posted: Posted,
     target: Target,
     address: u16,
+    /// Of all its parameters.
+    registers: u16,
     writes: bool,
     begun: Time,
     sent: bool,
@@ -67,7 +83,7 @@ struct Active {
 
 impl Calls {
     pub(super) fn new(port: Port, addressing: Addressing) -> Calls {
-        Calls { port, addressing, active: None, since: 0, owed: false }
+        Calls { port, addressing, active: None, since: 0, owed: false, block: Kept::default() }
     }
 
     /// Adds what it touches besides itself, to be locked.
@@ -100,9 +116,11 @@ impl Calls {
                 self.end(Err(why));
             }
         }
-        if self.active.is_none()
-            && let Some(posted) = self.port.take()
-        {
+        for _ in 0..=MOST_PARTS {
+            if self.active.is_some() {
+                break;
+            }
+            let Some(posted) = self.port.take() else { break };
             self.take_up(now, posted);
         }
         let every = if on { EVERY_ON } else { EVERY_OFF };
@@ -110,24 +128,57 @@ impl Calls {
     }
 
     fn take_up(&mut self, now: Time, posted: Posted) {
-        let call = posted.call;
-        let target = Target::unpack(call.address);
-        let address = target.and_then(|target| target.parameter.address(self.addressing, target.width));
-        match (target, address) {
-            (Some(target), Some(address)) if matches!(call.service, READ | WRITE) => {
-                let writes = call.service == WRITE;
-                self.active = Some(Active { posted, target, address, writes, begun: now, sent: false });
+        let answer = match posted.call.service {
+            LOAD => self.block.load(&posted),
+            SIZE | PART => self.block.answer(&posted),
+            _ => {
+                self.active = self.begin(now, posted);
+                if self.active.is_some() {
+                    return;
+                }
+                None
             }
-            _ => self.port.end(&posted, Err(CallError::Refused(UNREACHABLE))),
-        }
+        };
+        self.port.end(&posted, answer.ok_or(CallError::Refused(UNREACHABLE)));
+    }
+
+    /// A call that needs a request; `None`: it has none.
+    fn begin(&self, now: Time, posted: Posted) -> Option<Active> {
+        let call = posted.call;
+        let target = Target::unpack(call.address)?;
+        let each = target.width.registers();
+        let parameters = match call.service {
+            READ | WRITE => 1,
+            READ_SEVERAL => call.value,
+            STORE => {
+                let (bytes, each) = (self.block.whole(&posted)?.len(), 2 * usize::from(each));
+                if !bytes.is_multiple_of(each) {
+                    return None;
+                }
+                (bytes / each) as u64
+            }
+            _ => return None,
+        };
+        let registers = u16::try_from(parameters).ok()?.checked_mul(each);
+        let registers = registers.filter(|registers| (1..=REGISTERS_MAX).contains(registers))?;
+        // The last parameter of the block is one of the same menu.
+        let last = target.parameter.offset((registers / each - 1) as u8)?;
+        last.address(self.addressing, target.width)?;
+        let address = target.parameter.address(self.addressing, target.width)?;
+        let writes = matches!(call.service, WRITE | STORE);
+        Some(Active { posted, target, address, registers, writes, begun: now, sent: false })
     }
 
     /// The request of the active call, and the unit id for it in a drive that is `drive` itself.
     pub(super) fn request<'a>(&self, drive: u8, data: &'a mut RegistersBuffer) -> Option<(u8, Request<'a>)> {
-        let Active { posted, target, address, writes, .. } = self.active?;
+        let Active { posted, target, address, registers, writes, .. } = self.active?;
         let unit = target.parameter.unit(drive);
         if !writes {
-            return Some((unit, Request::Read { address, count: target.width.registers() }));
+            return Some((unit, Request::Read { address, count: registers }));
+        }
+        if posted.call.service == STORE {
+            data.push_all(self.block.whole(&posted).and_then(Registers::new)?);
+            return Some((unit, Request::Write { address, data: data.registers() }));
         }
         let raw = posted.call.value as u32;
         match target.width {
@@ -157,11 +208,9 @@ impl Calls {
         let Some(active) = self.active.filter(|active| active.sent) else { return true };
         match *response {
             Response::Exception { .. } => true,
-            Response::Read { data } => {
-                !active.writes && data.len() == usize::from(active.target.width.registers())
-            }
+            Response::Read { data } => !active.writes && data.len() == usize::from(active.registers),
             Response::Written { address, count } => {
-                active.writes && address == active.address && count <= active.target.width.registers()
+                active.writes && address == active.address && count <= active.registers
             }
             _ => false,
         }
@@ -173,17 +222,25 @@ impl Calls {
         let Some(active) = self.active.filter(|active| active.sent) else { return };
         let address = active.posted.call.address;
         let done = |value: u64| Ok(Answer { status: 0, address, value });
-        self.end(match *response {
+        let result = match *response {
             Response::Exception { code, .. } => Err(CallError::Refused(code.0.into())),
+            Response::Read { data } if active.posted.call.service == READ_SEVERAL => {
+                self.block = Kept::of_read(&active.posted, data.bytes().len(), data.bytes());
+                done(long::raw(data.bytes()))
+            }
+            // It has taken those in front of the first one that it refuses.
+            Response::Written { count, .. } if active.posted.call.service == STORE => {
+                let status = if count < active.registers { NOT_TAKEN } else { 0 };
+                Ok(Answer { status, address, value: 2 * u64::from(count) })
+            }
             Response::Read { data } => match active.target.width {
                 Width::Word => done(u64::from(data.word(0).unwrap_or_default())),
                 Width::Long => done(u64::from(data.long(0).unwrap_or_default() as u32)),
             },
-            Response::Written { count, .. } if count < active.target.width.registers() => {
-                Err(CallError::Refused(NOT_TAKEN))
-            }
+            Response::Written { count, .. } if count < active.registers => Err(CallError::Refused(NOT_TAKEN)),
             _ => done(active.posted.call.value),
-        });
+        };
+        self.end(result);
     }
 
     /// The connection is gone: a sent request may have been carried out, or not. It is over before an enable on the

@@ -13,21 +13,21 @@
 //! | `0x3A98` | the bits of a count |
 //! | `true`, `false` | 1, 0 |
 //!
+//! Parameters of one menu that follow one another are read or written in one request: a [`Block`], with the services of
+//! [`long`], and their values as in a message.
+//!
 //! In a [`Call`] the service is [`READ`] or [`WRITE`], the address a packed [`Target`], the value the raw bits of a
 //! count. The status of its answer is 0, the drive's exception code, or one of [`NOT_TAKEN`] and [`UNREACHABLE`].
 
 mod list;
 
 use super::parameter::{Known, Parameter, SLOT_MAX, Width, catalogue};
-use super::wire::ExceptionCode;
+use super::wire::{ExceptionCode, REGISTERS_MAX};
+use fieldbeat_core::axis::acyclic::long;
+pub use fieldbeat_core::axis::acyclic::long::{READ, WRITE};
 use fieldbeat_core::axis::acyclic::{
-    Call, ListError, Listing, Notation, NotationError, Wanted, bits, count, within,
+    Block, Call, ListError, Listing, Notation, NotationError, Wanted, bits, count, within,
 };
-
-/// The service of a call that reads.
-pub const READ: u32 = 1;
-/// The service of a call that writes.
-pub const WRITE: u32 = 2;
 
 /// A status above those of the drive: it wrote fewer registers than it received, its silent refusal (Commander SE
 /// guide).
@@ -82,14 +82,29 @@ impl Target {
 
     /// As people write it.
     pub fn parse(text: &str) -> Option<Target> {
+        let (parameter, width) = Target::parts(text)?;
+        Some(Target { parameter, width: width.unwrap_or_else(|| own_width(parameter)) })
+    }
+
+    /// The parameter that is written so, and the width that stands behind it.
+    fn parts(text: &str) -> Option<(Parameter, Option<Width>)> {
         let (text, width) = match text.rsplit_once('.') {
             Some((text, "word")) => (text, Some(Width::Word)),
             Some((text, "long")) => (text, Some(Width::Long)),
             _ => (text, None),
         };
         let parameter = text.parse().ok().or_else(|| named(text))?;
-        let own = || parameter.known().map_or(Width::Long, |known| known.width);
-        Some(Target { parameter, width: width.unwrap_or_else(own) })
+        Some((parameter, width))
+    }
+
+    /// The parameters that a call writes in one request, from this one on: how many there are; 0: it is no such call.
+    pub(super) fn written(self, call: &Call) -> u32 {
+        let each = 2 * u64::from(self.width.registers());
+        match call.service {
+            WRITE => 1,
+            long::STORE => u32::try_from(call.value.div_ceil(each)).unwrap_or(u32::MAX),
+            _ => 0,
+        }
     }
 
     /// Whether its values have a sign. Those of unknown parameters do, as most have.
@@ -108,6 +123,11 @@ impl Target {
             _ => i64::try_from(bits).unwrap_or(i64::MAX),
         }
     }
+}
+
+/// The width of a parameter, if it is known here; else 32 bits.
+fn own_width(parameter: Parameter) -> Width {
+    parameter.known().map_or(Width::Long, |known| known.width)
 }
 
 /// A name of the drive's parameters, or after `slot.` one of an Ethernet interface's.
@@ -205,6 +225,33 @@ impl Notation for Parameters {
             (_, Ok(code)) => ExceptionCode(code).to_string(),
             _ => format!("status {status:#x}"),
         }
+    }
+
+    /// In 16 bits if all of them are known to have so many and nothing else is written, else in 32.
+    fn block(&self, address: &str, count: usize) -> Result<Block, NotationError> {
+        let (first, given) = Target::parts(address).ok_or(NotationError::Address { form: FORM })?;
+        let wrong = |form: String| NotationError::Value { value: count.to_string(), form };
+        let next = |place: usize| u8::try_from(place).ok().and_then(|place| first.offset(place));
+        let all: Option<Vec<Parameter>> = (0..count.clamp(1, usize::from(u8::MAX))).map(next).collect();
+        let all = all.filter(|all| all.iter().all(|parameter| parameter.is_reached()));
+        let all = all.ok_or_else(|| wrong("parameters of one menu".to_owned()))?;
+        let is_word = |parameter: &Parameter| own_width(*parameter) == Width::Word;
+        let own = if all.iter().all(is_word) { Width::Word } else { Width::Long };
+        let width = given.unwrap_or(own);
+        let most = usize::from(REGISTERS_MAX / width.registers());
+        if !(1..=most).contains(&count) {
+            return Err(wrong(format!("1 to {most} parameters of {} bits at once", width.bits())));
+        }
+        let suffix = |parameter: &Parameter| match width {
+            _ if own_width(*parameter) == width => "",
+            Width::Word => ".word",
+            Width::Long => ".long",
+        };
+        Ok(Block {
+            addresses: all.iter().map(|parameter| format!("{parameter}{}", suffix(parameter))).collect(),
+            address: Target { parameter: first, width }.pack(),
+            bytes: 2 * usize::from(width.registers()),
+        })
     }
 
     fn list(&self, wanted: &Wanted<'_>) -> Result<Listing, ListError> {

@@ -30,6 +30,12 @@ pub trait Subject {
     /// One that does not.
     const HARMLESS: (&'static str, u64);
 
+    /// The calls that write the watched parameter.
+    fn writes(acyclic: &Acyclic, value: u64) -> Vec<Call> {
+        let call = acyclic.notation().write(Self::WATCHED.0, value);
+        vec![call.unwrap_or_else(|error| panic!("{error}"))]
+    }
+
     fn sim(&mut self) -> &mut Simulation;
 
     /// The drive's power is on, as the drive itself has it.
@@ -46,11 +52,13 @@ struct Run<S> {
     /// The application owns the control word: the rule does not apply.
     native: bool,
     written: usize,
+    /// The calls under way that only prepare a write.
+    parts: Vec<CallTicket>,
 }
 
 impl<S: Subject> Run<S> {
     fn new(subject: S) -> Run<S> {
-        let mut run = Run { subject, ends: BTreeMap::new(), native: false, written: 0 };
+        let mut run = Run { subject, ends: BTreeMap::new(), native: false, written: 0, parts: Vec::new() };
         run.until("online", 20_000, |run| run.subject.sim().feedback(0).link == Link::Online);
         run
     }
@@ -59,6 +67,7 @@ impl<S: Subject> Run<S> {
     fn step(&mut self) {
         let (on, received) = (self.subject.is_on(), self.subject.received());
         self.subject.sim().step();
+        self.parts.retain_mut(|part| part.poll().is_none());
         while let Some(event) = self.subject.sim().axis(0).event() {
             if let EventKind::Ended { id, outcome, .. } = event.kind {
                 self.ends.insert(id, outcome);
@@ -106,16 +115,23 @@ impl<S: Subject> Run<S> {
 
     /// Posts a write of the watched parameter, with another value each time.
     fn post_watched(&mut self) -> Result<CallTicket, PostError> {
-        let (address, values) = S::WATCHED;
+        let (_, values) = S::WATCHED;
         self.written += 1;
-        let call = self.call(address, values[self.written % 2]);
-        self.acyclic().post(call, LIMIT)
+        let acyclic = self.acyclic();
+        let calls = S::writes(&acyclic, values[self.written % 2]);
+        if let [call] = calls[..] {
+            return acyclic.post(call, LIMIT);
+        }
+        let mut tickets = acyclic.post_series(&calls, LIMIT)?;
+        let last = tickets.pop().expect("there is a call");
+        self.parts.extend(tickets);
+        Ok(last)
     }
 
     fn call_ended(&mut self, mut ticket: CallTicket) -> Result<u64, CallError> {
         for _ in 0..5_000 {
             if let Some(end) = ticket.poll() {
-                return end.map(|answer| answer.value);
+                return end.map(|answer| answer.value).map_err(of_one);
             }
             self.step();
         }
@@ -124,8 +140,16 @@ impl<S: Subject> Run<S> {
 
     /// How a write of the watched parameter ends.
     fn write(&mut self) -> Result<(), CallError> {
-        let ticket = self.post_watched()?;
+        let ticket = self.post_watched().map_err(|error| of_one(error.into()))?;
         self.call_ended(ticket).map(drop)
+    }
+}
+
+/// Refused for one of several parameters is refused.
+fn of_one(error: CallError) -> CallError {
+    match error {
+        CallError::CommandsAt(_) => CallError::Commands,
+        error => error,
     }
 }
 
@@ -195,7 +219,8 @@ pub fn never_meet<S: Subject>(subject: S) {
                     ticket = Err(PostError::Refused { axis: String::new(), why: CallError::Cancelled });
                 }
                 assert_eq!(run.ended(enable), Outcome::Done, "gap {gap}, write first: {write_first}");
-                let end = ticket.map_err(CallError::from).and_then(|ticket| run.call_ended(ticket));
+                let end = ticket.map_err(|error| of_one(error.into()));
+                let end = end.and_then(|ticket| run.call_ended(ticket));
                 let end = end.map(drop);
                 let known = matches!(end, Ok(()) | Err(CallError::Commands | CallError::Cancelled));
                 assert!(known, "gap {gap}, write first: {write_first}: {end:?}");

@@ -37,6 +37,35 @@ fn addresses_are_read_in_every_form() {
 }
 
 #[test]
+fn a_block_has_one_width_and_ends_with_its_menu() {
+    let block = |address: &str, count| Parameters.block(address, count);
+    for (address, count, addresses, call, bytes) in [
+        ("20.021", 3, "20.021 20.022 20.023", 0x0100_1415, 4),
+        ("06.042", 2, "06.042 06.043", 0x0000_062A, 2),
+        // Of the third one nothing is known here.
+        ("control-word", 3, "06.042.long 06.043.long 06.044", 0x0100_062A, 4),
+        ("06.042.long", 1, "06.042.long", 0x0100_062A, 4),
+        ("01.021.word", 2, "01.021.word 01.022.word", 0x0000_0115, 2),
+        ("4.15.009", 1, "4.15.009", 0x0004_0F09, 2),
+    ] {
+        let addresses = addresses.split(' ').map(str::to_owned).collect();
+        assert_eq!(block(address, count), Ok(Block { addresses, address: call, bytes }), "{address}");
+    }
+    for (address, count, parts) in [
+        ("20.021", 0, "0 is not a value of this parameter; write 1 to 60 parameters of 32 bits at once"),
+        ("20.021", 61, "write 1 to 60 parameters of 32 bits at once"),
+        ("20.001.word", 121, "write 1 to 120 parameters of 16 bits at once"),
+        ("20.200", 100, "write parameters of one menu"),
+        ("162.098", 3, "write parameters of one menu"),
+        ("20.001", usize::MAX, "write "),
+        ("6.42", 2, "not an address of this drive"),
+    ] {
+        let why = block(address, count).unwrap_err().to_string();
+        assert!(why.contains(parts), "{address}, {count}: {why}");
+    }
+}
+
+#[test]
 fn a_call_carries_width_slot_menu_and_number() {
     for (text, address) in [("06.042", 0x0000_062A), ("01.021", 0x0100_0115), ("4.15.009", 0x0004_0F09)] {
         assert_eq!(Parameters.read(text), Ok(Call { service: READ, address, value: 0 }), "{text}");

@@ -172,6 +172,12 @@ impl Parameter {
         })
     }
 
+    /// Some addressing reaches it.
+    pub const fn is_reached(self) -> bool {
+        self.address(Addressing::Standard, Width::Word).is_some()
+            || self.address(Addressing::Modified, Width::Word).is_some()
+    }
+
     /// The parameter at an address; `None`: there is none. The slot is 0: see [`slot`].
     pub const fn from_address(address: u16, addressing: Addressing) -> Option<(Parameter, Width)> {
         if address & RESERVED != 0 {
@@ -261,10 +267,7 @@ impl FromStr for Parameter {
             None => 0,
         };
         let parameter = Parameter { slot, menu, number };
-        let is_reached = [Addressing::Standard, Addressing::Modified]
-            .into_iter()
-            .any(|addressing| parameter.address(addressing, Width::Word).is_some());
-        if parts.next().is_none() && is_reached { Ok(parameter) } else { Err(ParseError) }
+        if parts.next().is_none() && parameter.is_reached() { Ok(parameter) } else { Err(ParseError) }
     }
 }
 

@@ -106,6 +106,16 @@ impl RegistersBuffer {
         true
     }
 
+    /// Appends registers in wire order; false, and nothing is changed, if there is no room.
+    pub fn push_all(&mut self, registers: Registers<'_>) -> bool {
+        let bytes = registers.bytes();
+        let room = self.bytes.get_mut(self.length..).and_then(|free| free.get_mut(..bytes.len()));
+        let Some(room) = room else { return false };
+        room.copy_from_slice(bytes);
+        self.length += bytes.len();
+        true
+    }
+
     /// Its content.
     #[inline]
     pub fn registers(&self) -> Registers<'_> {

@@ -1,5 +1,8 @@
 //! A Unidrive and the parameters that command it.
 
+use fieldbeat::axis::{Acyclic, Call};
+use fieldbeat_core::axis::acyclic::long;
+
 use super::*;
 use crate::virtual_time::commanding::{Subject, never_in_any_sequence, never_meet, refuses_while_on};
 
@@ -42,6 +45,44 @@ impl Subject for Unidrive {
         let heard = std::mem::take(&mut self.bench.tap(0).received);
         self.received += heard.iter().filter(is_one).count();
         self.received
+    }
+}
+
+/// The same, which writes three parameters at once: the watched one is the first of them.
+struct Blocks(Unidrive);
+
+impl Subject for Blocks {
+    const WATCHED: (&'static str, [u64; 2]) = Unidrive::WATCHED;
+    const COMMANDING: &'static [&'static str] = &[];
+    const HARMLESS: (&'static str, u64) = Unidrive::HARMLESS;
+
+    fn writes(acyclic: &Acyclic, value: u64) -> Vec<Call> {
+        let block = acyclic.notation().block(Self::WATCHED.0, 3).unwrap();
+        assert_eq!(block.bytes, 4);
+        long::write(block.address, &(value as u32).to_be_bytes().repeat(3))
+    }
+
+    fn sim(&mut self) -> &mut Simulation {
+        self.0.sim()
+    }
+
+    fn is_on(&mut self) -> bool {
+        self.0.is_on()
+    }
+
+    fn received(&mut self) -> usize {
+        self.0.received()
+    }
+}
+
+#[test]
+fn a_unidrive_is_not_commanded_by_several_parameters_at_once_while_its_power_is_on() {
+    for via in VIAS {
+        refuses_while_on(Blocks(unidrive(via)));
+        never_meet(Blocks(unidrive(via)));
+        for seed in 0..2 {
+            never_in_any_sequence(Blocks(unidrive(via)), seed, 150);
+        }
     }
 }
 

@@ -1,5 +1,6 @@
 //! Unidrives under the whole loop in virtual time: what the conformance suite does not ask of a protocol.
 
+mod blocks;
 mod care;
 mod commanding;
 mod functions;

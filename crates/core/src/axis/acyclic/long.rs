@@ -1,7 +1,8 @@
 //! Values that are longer than the value of a call: read and written by several calls of one series.
 //!
 //! Such a value is read by [`READ`], followed by [`SIZE`] and [`PART`]s of the data read: [`read`] does it. It is
-//! written by [`LOAD`]s, followed by a [`STORE`]: [`write()`].
+//! written by [`LOAD`]s, followed by a [`STORE`]: [`write()`]. Several values that are read at once begin with
+//! [`READ_SEVERAL`]: [`read_several`].
 
 use std::time::Duration;
 
@@ -19,8 +20,11 @@ pub const PART: u32 = 4;
 /// The service of a call that hands over the next eight bytes of a value, to be written later in its series. Nothing is
 /// sent.
 pub const LOAD: u32 = 5;
-/// The service of a call that writes the first `value` bytes handed over before it in its series.
+/// The service of a call that writes the first `value` bytes handed over before it in its series. Where they are
+/// several values, its answer says how many of the bytes were written, with a status if those are not all.
 pub const STORE: u32 = 6;
+/// The service of a call that reads `value` values at once.
+pub const READ_SEVERAL: u32 = 7;
 
 /// The most bytes of a value that are read or written.
 pub const MOST: usize = 128;
@@ -56,26 +60,38 @@ pub fn write(address: u32, bytes: &[u8]) -> Vec<Call> {
     all.map(|(service, value)| Call { service, address, value }).collect()
 }
 
+/// The calls that read so many values at once, `bytes` bytes in all; and the bytes in what they have answered.
+pub fn read_several(address: u32, count: usize, bytes: usize) -> Vec<Call> {
+    let first = Call { service: READ_SEVERAL, address, value: count as u64 };
+    let part = |at: usize| Call { service: PART, address, value: at as u64 };
+    std::iter::once(first).chain((STEP..bytes).step_by(STEP).map(part)).collect()
+}
+
+/// The bytes in the answers to [`read_several`].
+pub fn read_bytes(answers: &[Answer]) -> Vec<u8> {
+    answers.iter().flat_map(|answer| answer.value.to_le_bytes()).collect()
+}
+
 /// The data of a series of calls, for their executor: what its last one has read, or what it has handed over to be
-/// written.
+/// written. It has room for so many bytes.
 #[derive(Clone, Copy, Debug)]
-pub struct Kept {
+pub struct Kept<const ROOM: usize = MOST> {
     series: u64,
     address: u32,
     size: usize,
-    data: [u8; MOST],
+    data: [u8; ROOM],
 }
 
-impl Default for Kept {
-    fn default() -> Kept {
-        Kept { series: 0, address: 0, size: 0, data: [0; MOST] }
+impl<const ROOM: usize> Default for Kept<ROOM> {
+    fn default() -> Kept<ROOM> {
+        Kept { series: 0, address: 0, size: 0, data: [0; ROOM] }
     }
 }
 
-impl Kept {
+impl<const ROOM: usize> Kept<ROOM> {
     /// What this call has read: a value of `size` bytes, and the first of them.
-    pub fn of_read(posted: &Posted, size: usize, bytes: &[u8]) -> Kept {
-        let mut data = [0; MOST];
+    pub fn of_read(posted: &Posted, size: usize, bytes: &[u8]) -> Kept<ROOM> {
+        let mut data = [0; ROOM];
         data.iter_mut().zip(bytes).for_each(|(place, byte)| *place = *byte);
         Kept { series: posted.series, address: posted.call.address, size, data }
     }
@@ -88,7 +104,7 @@ impl Kept {
     pub fn load(&mut self, posted: &Posted) -> Option<Answer> {
         let Call { address, value, .. } = posted.call;
         if !self.is_of(posted) {
-            *self = Kept { series: posted.series, address, ..Kept::default() };
+            *self = Kept { series: posted.series, address, ..Kept::<ROOM>::default() };
         }
         let end = self.size + STEP;
         self.data.get_mut(self.size..end)?.copy_from_slice(&value.to_le_bytes());
@@ -111,7 +127,7 @@ impl Kept {
         let is_that = self.is_of(posted);
         let value = match service {
             SIZE if is_that => self.size as u64,
-            PART if is_that && at < self.size.min(MOST) => raw(self.data.get(at..).unwrap_or_default()),
+            PART if is_that && at < self.size.min(ROOM) => raw(self.data.get(at..).unwrap_or_default()),
             _ => return None,
         };
         Some(Answer { status: 0, address, value })
@@ -173,7 +189,7 @@ mod tests {
             let call = Call { service, address: 7, value };
             Posted { series, call, ..Posted::default() }
         };
-        let mut kept = Kept::default();
+        let mut kept = Kept::<MOST>::default();
         for piece in [0x0807_0605_0403_0201, 9] {
             assert!(kept.load(&posted(1, LOAD, piece)).is_some());
         }

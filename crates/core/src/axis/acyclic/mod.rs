@@ -28,8 +28,8 @@ pub use integer::Integer;
 #[cfg(test)]
 pub(crate) use notation::Numbers;
 pub use notation::{
-    Access, ListError, Listed, Listing, Notation, NotationError, ParameterError, Progress, ReadList, Request,
-    Wanted, Watcher, bits, count, go_on, read_listed, within,
+    Access, Block, ListError, Listed, Listing, Notation, NotationError, ParameterError, Progress, ReadList,
+    Request, Wanted, Watcher, bits, count, go_on, read_listed, within,
 };
 pub use parameter::{ParameterTicket, Parameters, Scalar};
 pub use port::{Commanding, Port, Posted};
@@ -102,6 +102,13 @@ pub enum CallError {
         "it may command the drive, whose power is on or coming on: disable the axis first, or use native mode"
     )]
     Commands,
+    /// Of several parameters that are written at once, the one at this place, counted from 0, may command the drive,
+    /// whose power is on or coming on. Nothing was sent.
+    #[error(
+        "parameter {} of them may command the drive, whose power is on or coming on: disable the axis first, or \
+         use native mode", .0 + 1
+    )]
+    CommandsAt(u32),
     /// Another list or block transfer is under way on this drive, which has one of each.
     #[error("another list or transfer is under way on this drive: wait for its end")]
     Claimed,

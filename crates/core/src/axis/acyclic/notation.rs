@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use thiserror::Error;
 
-use super::{Answer, Call, CallError, Carrier, PostError, Series};
+use super::{Answer, Call, CallError, Carrier, PostError, Series, long};
 
 /// The time limit of one parameter access, unless the notation sets another: a drive answers within milliseconds, but a
 /// busy host may hold up every exchange of it.
@@ -62,9 +62,35 @@ pub trait Notation: Debug + Send + Sync {
         None
     }
 
+    /// `count` parameters that the drive reads or writes in one request, from `address` on.
+    fn block(&self, _address: &str, _count: usize) -> Result<Block, NotationError> {
+        Err(NotationError::Alone)
+    }
+
     /// How the parameters that are `wanted` are listed. An error is a mistake in what is wanted.
     fn list(&self, wanted: &Wanted<'_>) -> Result<Listing, ListError> {
         Err(ListError::Wanted(format!("drive {} does not list its parameters", wanted.drive)))
+    }
+}
+
+/// Parameters that follow one another, which a drive reads or writes in one request.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Block {
+    /// The address of each.
+    pub addresses: Vec<String>,
+    /// That of the calls.
+    pub address: u32,
+    /// Bytes of each value in the calls, the highest one first.
+    pub bytes: usize,
+}
+
+impl Block {
+    /// All of them, for messages.
+    fn shown(&self) -> String {
+        match &self.addresses[..] {
+            [first, .., last] => format!("{first} ... {last}"),
+            addresses => addresses.concat(),
+        }
     }
 }
 
@@ -129,6 +155,9 @@ pub enum NotationError {
         /// The highest.
         high: i64,
     },
+    /// The drive has no request for several parameters.
+    #[error("this drive reads and writes one parameter at a time: give one address and one value")]
+    Alone,
     /// Not a value of this parameter.
     #[error("{value} is not a value of this parameter; write {form}")]
     Value {
@@ -281,6 +310,77 @@ impl Access<'_> {
         };
         self.carry_out(&request, &calls)?;
         Ok(raw)
+    }
+
+    /// Reads `count` parameters from `address` on in one request: the address of each, and its raw value.
+    pub fn read_several(&self, address: &str, count: usize) -> Result<Vec<(String, u64)>, ParameterError> {
+        let asked = Request::read(self.drive, address);
+        let block = self.notation.block(address, count).map_err(|error| asked.wrong(error))?;
+        let bytes = count * block.bytes;
+        let request = Request::read(self.drive, &block.shown());
+        let answers = self.run(&request, &long::read_several(block.address, count, bytes))?;
+        let data = long::read_bytes(&answers);
+        let values = data
+            .chunks_exact(block.bytes.max(1))
+            .map(|bytes| bytes.iter().fold(0, |raw: u64, byte| raw << 8 | u64::from(*byte)));
+        Ok(block.addresses.into_iter().zip(values).collect())
+    }
+
+    /// Writes these raw values to parameters from `address` on, in one request. An error names the parameter that was
+    /// refused; those before it were written then.
+    pub fn write_several(&self, address: &str, values: &[u64]) -> Result<(), ParameterError> {
+        let asked = Request { access: "write", ..Request::read(self.drive, address) };
+        let block = self.notation.block(address, values.len()).map_err(|error| asked.wrong(error))?;
+        let one = |place: usize| {
+            let (address, raw) = (&block.addresses[place], values[place]);
+            Request::write(self.drive, address, self.notation.show(address, raw))
+        };
+        let mut data = Vec::new();
+        for (place, address) in block.addresses.iter().enumerate() {
+            let call =
+                self.notation.write(address, values[place]).map_err(|error| one(place).wrong(error))?;
+            let raw = call.value.to_be_bytes();
+            data.extend_from_slice(&raw[raw.len() - block.bytes.min(raw.len())..]);
+        }
+        let shown: Vec<String> = block
+            .addresses
+            .iter()
+            .zip(values)
+            .map(|(address, raw)| self.notation.show(address, *raw))
+            .collect();
+        let request = Request::write(self.drive, &block.shown(), shown.join(", "));
+        let answers = match self.run(&request, &long::write(block.address, &data)) {
+            Err(ParameterError::Failed { why: CallError::CommandsAt(place), .. })
+                if (place as usize) < values.len() =>
+            {
+                return Err(one(place as usize).failed(CallError::Commands, self.notation));
+            }
+            answers => answers?,
+        };
+        let stored = answers.last().copied().unwrap_or_default();
+        let place = usize::try_from(stored.value).unwrap_or(usize::MAX) / block.bytes.max(1);
+        if place >= values.len() {
+            return Ok(());
+        }
+        let mut reason = self.notation.reason(stored.status);
+        if place > 0 {
+            reason += "; those before it were written";
+        }
+        Err(ParameterError::Refused { request: one(place), status: stored.status, reason })
+    }
+
+    /// Carries out calls of which the later ones need what the earlier ones have left.
+    fn run(&self, request: &Request, calls: &[Call]) -> Result<Vec<Answer>, ParameterError> {
+        let fits = calls.len() <= self.carrier.capacity();
+        let limit = calls.first().map_or(LIMIT, |call| self.notation.limit(call));
+        let Series { answers, failed } = match fits {
+            true => self.carrier.run(calls, limit),
+            false => Series { failed: Some(CallError::Full), ..Series::default() },
+        };
+        match failed {
+            None => Ok(answers),
+            Some(why) => Err(request.failed(why, self.notation)),
+        }
     }
 
     /// Carries out calls that belong together; returns what the first one has answered.
@@ -445,6 +545,113 @@ pub fn count(text: &str, decimals: u32) -> Option<i64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Single numbers, and blocks of them in four bytes each.
+    #[derive(Debug)]
+    struct Blocks;
+
+    impl Notation for Blocks {
+        fn protocol(&self) -> &'static str {
+            Numbers.protocol()
+        }
+        fn read(&self, address: &str) -> Result<Call, NotationError> {
+            Numbers.read(address)
+        }
+        fn write(&self, address: &str, value: u64) -> Result<Call, NotationError> {
+            match value {
+                ..=0xFFFF_FFFF => Numbers.write(address, value),
+                _ => Err(NotationError::Value { value: value.to_string(), form: "less".to_owned() }),
+            }
+        }
+        fn value(&self, address: &str, text: &str) -> Result<u64, NotationError> {
+            Numbers.value(address, text)
+        }
+        fn number(&self, address: &str, raw: u64) -> i64 {
+            Numbers.number(address, raw)
+        }
+        fn show(&self, address: &str, raw: u64) -> String {
+            Numbers.show(address, raw)
+        }
+        fn reason(&self, status: u32) -> String {
+            format!("status {status}")
+        }
+        fn block(&self, address: &str, count: usize) -> Result<Block, NotationError> {
+            let first: u32 = address.parse().unwrap();
+            let addresses = (first..).take(count).map(|address| address.to_string()).collect();
+            Ok(Block { addresses, address: first, bytes: 4 })
+        }
+    }
+
+    /// A drive that answers so, and the calls that it has received.
+    struct Drive {
+        answers: Series,
+        received: std::cell::RefCell<Vec<Call>>,
+        capacity: usize,
+    }
+
+    impl Carrier for Drive {
+        fn run(&self, calls: &[Call], _limit: Duration) -> Series {
+            self.received.borrow_mut().extend(calls);
+            self.answers.clone()
+        }
+        fn condition(&self) -> Result<super::super::Condition, CallError> {
+            Err(CallError::Gone)
+        }
+        fn claim(&self) -> Result<Box<dyn std::any::Any + Send>, CallError> {
+            Err(CallError::Gone)
+        }
+        fn capacity(&self) -> usize {
+            self.capacity
+        }
+        fn pause(&self, _time: Duration) {}
+    }
+
+    fn drive(answers: &[(u32, u64)], failed: Option<CallError>) -> Drive {
+        let answer = |&(status, value)| Answer { status, address: 7, value };
+        let answers = Series { answers: answers.iter().map(answer).collect(), failed };
+        Drive { answers, received: Default::default(), capacity: 8 }
+    }
+
+    fn of<'a>(drive: &'a Drive, notation: &'a dyn Notation) -> Access<'a> {
+        Access { drive: "x", notation, carrier: drive }
+    }
+
+    #[test]
+    fn several_values_go_in_their_order_the_highest_byte_first() {
+        let written = drive(&[(0, 0), (0, 0), (0, 12)], None);
+        assert_eq!(of(&written, &Blocks).write_several("7", &[0x0102_0304, 5, 6]), Ok(()));
+        let call = |service, value| Call { service, address: 7, value };
+        let calls =
+            [call(long::LOAD, 0x0500_0000_0403_0201), call(long::LOAD, 0x0600_0000), call(long::STORE, 12)];
+        assert_eq!(*written.received.borrow(), calls);
+        let read = drive(&[(0, 0x0500_0000_0403_0201), (0, 0x0600_0000)], None);
+        let values = of(&read, &Blocks).read_several("7", 3).unwrap();
+        assert_eq!(values, [("7", 0x0102_0304), ("8", 5), ("9", 6)].map(|(a, raw)| (a.to_owned(), raw)));
+        assert_eq!(*read.received.borrow(), [call(long::READ_SEVERAL, 3), call(long::PART, 8)]);
+    }
+
+    #[test]
+    fn of_several_values_the_one_that_is_refused_is_named() {
+        let said = |drive: &Drive| of(drive, &Blocks).write_several("7", &[1, 2, 3]).unwrap_err().to_string();
+        let short = |bytes| drive(&[(0, 0), (0, 0), (256, bytes)], None);
+        assert_eq!(said(&short(0)), "drive x: write 7 = 1: status 256");
+        assert_eq!(said(&short(8)), "drive x: write 9 = 3: status 256; those before it were written");
+        assert_eq!(said(&short(11)), "drive x: write 9 = 3: status 256; those before it were written");
+        let guarded = said(&drive(&[], Some(CallError::CommandsAt(1))));
+        assert!(guarded.starts_with("drive x: write 8 = 2: it may command the drive"), "{guarded}");
+        let all = said(&drive(&[], Some(CallError::Refused(2))));
+        assert_eq!(all, "drive x: write 7 ... 9 = 1, 2, 3: status 2");
+        let open = said(&drive(&[], Some(CallError::TimedOut)));
+        assert!(open.ends_with("may have been written"), "{open}");
+        // Nothing is sent of what cannot be.
+        let none = Drive { capacity: 2, ..drive(&[], None) };
+        assert!(said(&none).contains("raise parameter_queue"));
+        let wrong = of(&none, &Blocks).write_several("7", &[1, 1 << 40]).unwrap_err().to_string();
+        assert_eq!(wrong, "drive x: write 8: 1099511627776 is not a value of this parameter; write less");
+        let alone = of(&none, &Numbers).read_several("7", 2).unwrap_err().to_string();
+        assert!(alone.starts_with("drive x: read 7: this drive reads and writes one parameter"), "{alone}");
+        assert!(none.received.borrow().is_empty());
+    }
 
     #[test]
     fn only_a_write_that_was_not_finished_in_time_may_have_been_done() {

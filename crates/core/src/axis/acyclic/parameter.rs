@@ -3,7 +3,7 @@
 use std::marker::PhantomData;
 use std::sync::Arc;
 
-use super::notation::{Notation, ParameterError, Request};
+use super::notation::{Access, Notation, ParameterError, Request};
 use super::queue::{Acyclic, CallTicket};
 use super::{Answer, Call, CallError, PostError};
 
@@ -91,6 +91,26 @@ impl Parameters {
     /// may command it is [refused](CallError::Commands).
     pub fn write<T: Scalar>(&self, address: &str, value: T) -> Result<(), ParameterError> {
         self.post_write(address, value)?.wait()
+    }
+
+    /// Reads `count` parameters that follow one another, from `address` on, in one request, and waits for them. Only a
+    /// Unidrive does that: others refuse it.
+    pub fn read_several<T: Scalar>(&self, address: &str, count: usize) -> Result<Vec<T>, ParameterError> {
+        let read = self.access().read_several(address, count)?;
+        Ok(read.into_iter().map(|(_, raw)| T::from_raw(raw)).collect())
+    }
+
+    /// Writes these values to parameters that follow one another, from `address` on, in one request, and waits until
+    /// the drive has taken them. It takes them in their order up to the first one that it refuses, which the error
+    /// names. While the power of the drive is on, all are [refused](CallError::Commands) if one of them may command it.
+    /// Only a Unidrive does that: others refuse it.
+    pub fn write_several<T: Scalar>(&self, address: &str, values: &[T]) -> Result<(), ParameterError> {
+        let raw: Vec<u64> = values.iter().map(|value| value.to_raw()).collect();
+        self.access().write_several(address, &raw)
+    }
+
+    fn access(&self) -> Access<'_> {
+        Access { drive: self.0.axis(), notation: &**self.0.notation(), carrier: &self.0 }
     }
 
     /// Requests a parameter and returns at once.
