@@ -37,3 +37,23 @@ fn the_keypad_watchdog_is_served_on_a_long_ramp_too() {
     assert_eq!((feedback.status.fault, feedback.stopped), (0, None), "{feedback:?}");
     assert!((feedback.status.velocity - 40.0).abs() < 1.0, "{feedback:?}");
 }
+
+/// As a program has it: blocking, while the machine runs in the background.
+#[test]
+fn several_parameters_are_written_and_read_by_one_call_each() {
+    let mut machine = machine(Watchdog { timeout_ns: None, keypad: true, accept_none: false });
+    let axis = machine.take_axis(0);
+    let _master = machine.into_master(f64::INFINITY).unwrap();
+    let parameters = axis.parameter();
+    parameters.write_several("20.021", &[12_345, -5, i32::MIN]).unwrap();
+    assert_eq!(parameters.read_several::<i32>("20.021", 3), Ok(vec![12_345, -5, i32::MIN]));
+    parameters.write_several("20.001", &[-1_i16, 2]).unwrap();
+    assert_eq!(parameters.read_several::<i16>("20.001", 2), Ok(vec![-1, 2]));
+    // All of a menu that the drive has with 32 bits.
+    let many: Vec<i32> = (0..20).collect();
+    parameters.write_several("20.021", &many).unwrap();
+    assert_eq!(parameters.read_several("20.021", 20), Ok(many));
+    let refused = parameters.write_several("01.022", &[1, 600_000]).unwrap_err().to_string();
+    assert!(refused.starts_with("drive u: write 01.023 = 600000 "), "{refused}");
+    assert!(parameters.read_several::<u32>("20.021", 61).is_err());
+}
