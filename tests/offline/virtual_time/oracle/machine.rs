@@ -27,6 +27,7 @@ use fieldbeat::{CyclePlan, Master, Plan, Simulation};
 use fieldbeat_core::net::SendMode;
 use fieldbeat_ethercat::wire::registers::{AlState, AlStatus, address as register};
 use fieldbeat_linudp::wire::{Request, Response, ResponseDef};
+use fieldbeat_modbus::Mapping;
 
 use crate::virtual_time::kollmorgen::{self, LINE};
 use crate::virtual_time::lenze::PORT;
@@ -193,6 +194,8 @@ pub struct Scale {
     pub homes: bool,
     /// Its replies have no number: old ones come again.
     pub replies_again: bool,
+    /// So many turns lead to one report of it, while it runs and this master has not enabled it.
+    pub report_turns: u32,
 }
 
 /// A LinMot, a MOONS' or a Unidrive that the world and the test share.
@@ -1107,6 +1110,7 @@ fn scale(shape: Shape, index: usize, plan: &AxisPlan) -> Scale {
         torques: false,
         homes: true,
         replies_again: shape.kind.of(index) == Kind::LinMot,
+        report_turns: report_turns(shape, index),
     };
     match (shape.kind.of(index), index) {
         (Kind::LinMot | Kind::Mixed, _) => scale,
@@ -1119,6 +1123,16 @@ fn scale(shape: Shape, index: usize, plan: &AxisPlan) -> Scale {
             Scale { positions: false, velocities: false, torques: true, still: 0.3, ..scale }
         }
     }
+}
+
+/// A round of requests to a Unidrive reads status and speed, which make a report, and something else; each second
+/// request looks for another master meanwhile. One block has all of that, and so has any other drive's exchange.
+fn report_turns(shape: Shape, index: usize) -> u32 {
+    if shape.kind.of(index) != Kind::Unidrive {
+        return 1;
+    }
+    let mapping = Mapping::new(&unidrive(index, shape)).expect("it has a mapping");
+    if mapping.reads().len() == 1 { 1 } else { 2 * (mapping.hot() as u32 + 1) }
 }
 
 /// Whether limits of the position hold it in.

@@ -19,8 +19,11 @@ use crate::virtual_time::oracle::machine::Scale;
 /// Turns with a good wire from the bar to standstill: some reports, the stop request, the stop's time-out and what
 /// follows it.
 const STOPS: u32 = 150;
-/// An axis that stood may be pushed for so many turns; and it stands after so many.
+/// An axis that stood may be pushed for so many turns, if its drive reports in each of them: until three reports in a
+/// row have shown its motion, behind the one that was under way, and the stop has got through.
 const PUSHED: u32 = 10;
+const REPORTS: u32 = 1 + 3;
+/// It stands after so many turns.
 const STANDS: u32 = 20;
 /// A limit is left for so many turns: until the master has stopped it.
 const OUTSIDE: u32 = 40;
@@ -130,8 +133,8 @@ impl Guard {
         self.has_reset
     }
 
-    /// It has stopped for a reason that no pause excuses: its new one.
-    pub fn stops(&mut self, feedback: &Feedback) -> Option<StopCause> {
+    /// It has stopped for another reason than before, and whether a pause excuses that.
+    pub fn stops(&mut self, feedback: &Feedback) -> Option<(StopCause, bool)> {
         let before = std::mem::replace(&mut self.stopped, feedback.stopped);
         let cause = feedback.stopped.filter(|_| before != feedback.stopped)?;
         let is_tolerated = match cause {
@@ -139,7 +142,7 @@ impl Guard {
             StopCause::DriveFault => self.may_reset(feedback.status.fault),
             _ => false,
         };
-        (!is_tolerated).then_some(cause)
+        Some((cause, is_tolerated))
     }
 
     /// A pause may have caused this fault.
@@ -168,7 +171,8 @@ impl Guard {
             self.since += u32::from(reached);
             self.has_stood |= self.standing >= STANDS;
             self.moving = if is_moving { self.moving + u32::from(reached) } else { 0 };
-            let most = if self.has_stood { PUSHED } else { STOPS };
+            let pushed_for = PUSHED + REPORTS * (self.scale.report_turns - 1);
+            let most = if self.has_stood { pushed_for } else { STOPS };
             if self.moving > most && !pushed {
                 return Err(("moves", format!("{truth:?}; {feedback:?}")));
             }

@@ -79,6 +79,24 @@ fn a_group_is_not_moved_again_of_which_a_drive_was_stopped_after_it_was_found_ru
     }
 }
 
+/// Its hardware enable comes back while it is only read: three reports of its motion stop it, each of which takes a
+/// Unidrive six requests then.
+#[test]
+fn a_drive_that_runs_again_by_the_control_word_of_a_dead_master_is_stopped() {
+    let shape = Shape { period_ns: run::PERIOD_NS, ..Shape::of(Kind::Mixed) };
+    let patterns = vec![Pattern::Still("move = false".into()); AXES];
+    // Before a master has found it running, and in each part of a round of its requests.
+    for at in 6..12 {
+        let step = |axis, op| Step { at, axis, op };
+        let steps = vec![step(0, Op::Kill(1)), step(1, Op::Inhibit(500))];
+        let sequence = Sequence { shape, patterns: patterns.clone(), before: Some((324, 10)), steps };
+        let (result, _, story) = judged(&sequence, &sequence.steps);
+        let story = story.join("\n");
+        assert!(result.is_ok(), "{at}: {result:?}\n{story}");
+        assert!(story.contains("axis 1 is stopped: found running"), "{at}: {story}");
+    }
+}
+
 /// What the pause caused comes again before the axis is enabled: something else causes it.
 #[test]
 fn a_fault_of_a_pause_that_comes_again_is_not_reset_again() {

@@ -281,10 +281,12 @@ impl Run {
             self.bad[axis] = self.bad[axis].max(self.turn + GRACE);
         }
         let reached = self.turn > self.bad[axis] && self.unplugged[axis].is_none();
-        if let Some(cause) = self.guards[axis].stops(&feedback) {
-            self.tally.stops += 1;
+        if let Some((cause, is_tolerated)) = self.guards[axis].stops(&feedback) {
             self.tell(format!("axis {axis} is stopped: {cause}"));
-            self.bar_group_of(axis);
+            if !is_tolerated {
+                self.tally.stops += 1;
+                self.bar_group_of(axis);
+            }
         }
         let pushed = self.turn <= self.pushed[axis];
         let judged = self.guards[axis].turn(truth, &feedback, reached, pushed);
