@@ -9,13 +9,18 @@ use fieldbeat_core::axis::Failure;
 /// A motion command whose echo has not come after so many answered exchanges is sent again with another count (sheet,
 /// 4.1: one such case was seen on real hardware) ...
 const ECHO_WITHIN: u32 = 5;
-/// ... and given up after so many counts.
-const MOST_COUNTS: u32 = 4;
+/// ... and given up after so many counts, or if another command takes its place so often.
+const MOST_TRIES: u32 = 4;
 
 /// The motion command interface of one drive: a command runs only if its count differs from the last one it stored.
 ///
 /// From the first agreement on the master chooses the counts by itself: the count of an older reply is no news (sheet,
 /// 2.4). The echo of a command counts only in a clean reply to a request that carried it.
+///
+/// A clean reply with another count, after the echo, has two meanings: an old request that was delivered once more has
+/// run in the drive since, or the reply is an old one that was delivered once more. One answer is right for both: the
+/// command is repeated with the same count. A drive that has it ignores that, any other one runs it; and until its echo
+/// comes again it is not accepted.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct MotionChannel {
     /// The count of the newest command; before the first one, the count that the drive has stored, as far as known.
@@ -28,11 +33,14 @@ pub(super) struct MotionChannel {
     pending: bool,
     /// A request with it has gone out.
     sent: bool,
-    /// Clean replies with its echo, the last one included.
-    echoes: u32,
-    /// Clean replies without it since it was sent with this count.
+    /// A clean reply had its echo.
+    echoed: bool,
+    /// Clean replies without it since the last one with it, or since it was sent with this count.
     answers: u32,
-    counts_used: u32,
+    /// The drive may have run another command of this master since the echo.
+    repeats: bool,
+    /// Counts that were not taken, and echoes that did not come twice in a row.
+    tries: u32,
     /// A reply to a request without the command had its count: the drive has stored that before, and would ignore it.
     clashes: bool,
 }
@@ -75,7 +83,7 @@ impl MotionChannel {
     pub(super) fn avoid_clash(&mut self) {
         if std::mem::take(&mut self.clashes) {
             let next = self.next_count().count;
-            (self.count, self.sent, self.echoes, self.answers) = (next, false, 0, 0);
+            (self.count, self.sent, self.echoed, self.answers, self.repeats) = (next, false, false, 0, false);
         }
     }
 
@@ -86,7 +94,12 @@ impl MotionChannel {
 
     /// The last clean reply had the echo of the command.
     pub(super) fn is_accepted(&self) -> bool {
-        self.pending && self.echoes > 0
+        self.has_echo() && self.answers == 0
+    }
+
+    /// The drive has taken the command, and may have replaced it since.
+    fn has_echo(&self) -> bool {
+        self.pending && self.echoed
     }
 
     /// Takes the echo of a reply, `clean` if it can be no older one, `foreign` if this master has not used it lately.
@@ -107,20 +120,28 @@ impl MotionChannel {
                 self.count = self.next_count().count;
             }
         } else if self.pending && clean && self.count == Some(echo) && !self.clashes {
-            (self.echoes, self.answers) = (self.echoes.saturating_add(1), 0);
+            if self.is_accepted() {
+                self.tries = 0;
+            }
+            (self.echoed, self.answers, self.repeats) = (true, 0, false);
         } else if self.pending && clean {
+            // Another master's command is answered by no motion: whether it is one, the next replies show.
+            let doubted = self.echoed && (!foreign || command.is_stop());
+            let lost = doubted && self.is_accepted();
+            self.repeats |= doubted;
             self.answers += 1;
-            // An old request, delivered once more, has run in the drive since it accepted the command. Another
-            // master's is answered by no motion: whether it is one, the next replies show.
-            let replaced = self.echoes > 0 && (!foreign || command.is_stop());
-            if replaced || self.answers > ECHO_WITHIN {
-                if self.counts_used + 1 >= MOST_COUNTS {
-                    self.clear();
-                    return Err(Failure::NotTaken);
-                }
-                let counts_used = self.counts_used + 1;
+            let ignored = self.answers > ECHO_WITHIN;
+            if lost || ignored {
+                self.tries += 1;
+            }
+            if self.tries >= MOST_TRIES {
+                self.clear();
+                return Err(Failure::NotTaken);
+            }
+            if ignored {
+                let tries = self.tries;
                 self.send(command);
-                self.counts_used = counts_used;
+                self.tries = tries;
             }
         }
         Ok(())
@@ -139,18 +160,20 @@ impl MotionChannel {
             return self.take(echo, clean, foreign);
         }
         self.reported = Some(echo);
-        self.clashes |= self.count == Some(echo) && !self.is_accepted();
+        self.clashes |= self.count == Some(echo) && !self.has_echo();
         Ok(())
     }
 
     /// No request carries a command, and another reply with the same count changes nothing.
     pub(super) fn is_settled(&self) -> bool {
-        self.command.is_none() || self.is_accepted() && self.answers == 0
+        self.command.is_none() || self.is_accepted()
     }
 
     /// The block of the next request.
     pub(super) fn block(&self) -> Option<MotionBlock> {
-        self.command.filter(|_| !self.is_accepted()).map(|command| command.block(self.count.unwrap_or(0)))
+        self.command
+            .filter(|_| !self.has_echo() || self.repeats)
+            .map(|command| command.block(self.count.unwrap_or(0)))
     }
 }
 

@@ -104,6 +104,39 @@ fn no_order_ends_early_or_is_lost_whenever_one_reply_is_repeated() {
     }
 }
 
+/// Seven of ten replies come once more, in the window of one of the next eight requests. Without a tag each of them
+/// passes for the newest.
+#[test]
+fn each_move_is_sent_once_and_done_however_many_replies_are_repeated() {
+    let mut random = fastrand::Rng::with_seed(23);
+    let tagged = 1 + 2 * (ReplyTag::WORDS.len() - 1);
+    for (n, rig) in rigs().into_iter().enumerate().take(tagged) {
+        let mut b = rig.ready();
+        b.run(40);
+        for trial in 0..100 {
+            let target = random.f64() * 150.0;
+            let id = b.post(0, to(target));
+            let from = b.tape(0).received.len();
+            let outcome = loop {
+                if random.u8(..10) < 7 {
+                    repeat(&b, random.usize(1..=8));
+                }
+                b.step();
+                if let Some(outcome) = b.outcome(0, id) {
+                    break outcome;
+                }
+            };
+            assert_eq!(outcome, Outcome::Done, "rig {n}, trial {trial}");
+            assert_near(demand(&b), target, 1e-4);
+            let tape = b.tape(0);
+            let motions = tape.received[from..].iter().filter_map(|one| one.request.motion);
+            let mut counts: Vec<u16> = motions.map(|block| block.header & 0xF).collect();
+            counts.dedup();
+            assert_eq!(counts.len(), 1, "rig {n}, trial {trial}: {counts:?}");
+        }
+    }
+}
+
 #[test]
 fn an_error_is_reported_with_its_code_in_whichever_cycle_it_comes() {
     for turn in 0..4 {

@@ -238,10 +238,11 @@ pub enum Failure {
         "the drive did not finish in time (state {0}): look at its state and enables, or raise the time-out"
     )]
     TimedOut(State),
-    /// The drive accepted none of the repeated motion commands.
+    /// The drive accepted none of the repeated motion commands, or none for long.
     #[error(
-        "the drive did not take the motion command, or each time it was lost on the way: look at `missed` and at \
-         the drive's own mode (of a LinMot: run mode motion command interface), then repeat it"
+        "the drive did not take the motion command, or each time it was lost on the way or replaced: look at \
+         `missed`, at the drive's own mode (of a LinMot: run mode motion command interface) and at what else \
+         commands it, then repeat it"
     )]
     NotTaken,
     /// The drive has ended the motion at another position.

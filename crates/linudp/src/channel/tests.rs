@@ -72,17 +72,47 @@ fn only_a_clean_reply_to_a_request_with_the_command_is_its_echo() {
 }
 
 #[test]
-fn a_command_that_another_one_has_replaced_is_sent_again() {
+fn a_command_that_another_one_has_replaced_is_repeated_with_its_count() {
     let mut channel = commanded(3);
-    assert!(!after(&mut channel, &[4, 2]), "an old request was delivered once more");
-    assert_eq!((channel.is_accepted(), count(&channel)), (false, Some(5)));
-    channel.sent();
-    assert!(after(&mut channel, &[5, 5]));
-    // Two masters take turns, and neither gets its way.
-    let fight = (0..8).map(|_| {
-        channel.sent();
-        let echo = channel.count.unwrap();
-        channel.take(echo, true, false).and_then(|()| channel.take(echo ^ 8, true, false))
-    });
+    assert!(!after(&mut channel, &[4, 2]), "an old request, or an old reply, was delivered once more");
+    assert_eq!((channel.is_accepted(), channel.is_free(), count(&channel)), (false, false, Some(4)));
+    assert!(after(&mut channel, &[4]));
+    assert_eq!(count(&channel), None);
+    // What has replaced it stays.
+    assert!(!after(&mut channel, &[2; 5]));
+    assert_eq!(count(&channel), Some(4));
+    assert!(!after(&mut channel, &[2]));
+    assert_eq!(count(&channel), Some(5));
+}
+
+#[test]
+fn old_replies_take_no_command_away_however_many_they_are() {
+    let mut channel = commanded(3);
+    for _ in 0..100 {
+        assert!(after(&mut channel, &[4, 2, 4, 2, 2, 4, 4]));
+    }
+    assert_eq!(channel.count, Some(4));
+}
+
+#[test]
+fn two_masters_that_take_turns_end_the_command() {
+    let mut channel = commanded(3);
+    let fight = (0..8).map(|_| channel.take(4, true, false).and_then(|()| channel.take(12, true, false)));
     assert_eq!(fight.collect::<Result<Vec<()>, _>>(), Err(Failure::NotTaken));
+    assert_eq!(count(&channel), None);
+}
+
+#[test]
+fn a_motion_of_another_master_is_answered_by_a_stop_alone() {
+    let foreign = |command: MotionCommand| {
+        let mut channel = agreed(3);
+        channel.send(command);
+        channel.sent();
+        channel.take(4, true, false).unwrap();
+        channel.take(12, true, true).unwrap();
+        assert!(!channel.is_accepted());
+        count(&channel)
+    };
+    assert_eq!(foreign(STOP), Some(4));
+    assert_eq!(foreign(MotionCommand::stream_end()), None);
 }

@@ -126,11 +126,11 @@ fn a_stop_is_done_by_two_replies_with_its_own_count_and_by_no_others() {
         (moving(5), Some(6)),
         (standing(4), Some(6)),
         (standing(6), None),
-        (moving(5), Some(7)),
-        (moving(7), None),
-        (moving(7), None),
-        (standing(7), None),
-        ((7, Some(Ok(()))), None),
+        (moving(5), Some(6)),
+        (moving(6), None),
+        (moving(6), None),
+        (standing(6), None),
+        ((6, Some(Ok(()))), None),
     ] {
         b.reply(&request, sub);
         request = b.send();
