@@ -248,10 +248,7 @@ impl UnidriveHandshake {
         if before == 0 && self.is_open && header.transaction == open {
             self.is_open = false;
             return match response {
-                Response::Exception {
-                    code: code @ (ExceptionCode::ACKNOWLEDGE | ExceptionCode::BUSY),
-                    ..
-                } => self.is_busy(now, code),
+                Response::Exception { code, .. } if code.is_busy() => self.is_busy(now, code),
                 _ => {
                     self.busy_since = None;
                     self.answer(response, out)

@@ -43,6 +43,9 @@ const DISARM_WITHIN: u64 = 3;
 /// A cyclic exchange that is refused so often in a row does not match the handshake, which is repeated: as it is after
 /// the drive was busy for [`BUSY_WITHIN`].
 const MOST_REFUSALS: u32 = 3;
+/// A request that the drive was too busy for is no turn, so often in a row: what it never serves must not keep all
+/// other parameters away.
+const MOST_REPEATED: u8 = 3;
 
 /// One drive as the master sees it. What each exchange touches comes first: it lies on a few lines of the cache.
 #[derive(Debug)]
@@ -117,9 +120,9 @@ struct Connection {
     outputs: Outputs,
     /// The reply to the open request, if only one is right.
     expected: Expected,
-    /// Writes, and reads, that were refused in a row; and since when the drive is busy.
+    /// Writes, and reads, that were refused in a row; and since when the drive is busy, for so many requests.
     refused: (u32, u32),
-    busy_since: Option<Time>,
+    busy: Option<(Time, u8)>,
     inputs: Inputs,
     /// Another reply that reads back what it wrote, with the same status, reports nothing new but speeds.
     steady: bool,
@@ -350,14 +353,14 @@ impl Station {
     #[inline]
     pub(super) fn gives_up(&mut self, now: Time, slot: &mut Slot) -> Option<Why> {
         let silent = self.identity.is_open() && now.since(self.conn.requested_at) > 2 * self.reply_within_ns;
-        let refused = self.conn.busy_since.is_some() || self.conn.refused != (0, 0);
+        let refused = self.conn.busy.is_some() || self.conn.refused != (0, 0);
         if self.connected && (silent || refused) { self.judge(now, silent, slot) } else { None }
     }
 
     #[cold]
     fn judge(&mut self, now: Time, silent: bool, slot: &mut Slot) -> Option<Why> {
-        let busy =
-            self.conn.busy_since.is_some_and(|since| now.since(since) > BUSY_WITHIN * self.reply_within_ns);
+        let within_ns = BUSY_WITHIN * self.reply_within_ns;
+        let busy = self.conn.busy.is_some_and(|(since, _)| now.since(since) > within_ns);
         let why = match () {
             () if silent => SILENT,
             () if busy => "the drive is busy all the time",

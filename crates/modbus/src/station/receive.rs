@@ -2,7 +2,7 @@
 //!
 //! A reply that is exactly the expected one is recognised at once. All others take the long way.
 
-use super::{Blocks, End, ROOM, Station, What, Why, used};
+use super::{Blocks, End, MOST_REPEATED, ROOM, Station, What, Why, used};
 use crate::counters::Own;
 use crate::echo::Echo;
 use crate::identity::Whose;
@@ -194,13 +194,21 @@ impl Station {
         }
         match self.conn.requested {
             What::Call => {}
-            What::Set { index, .. } => self.set_answered(usize::from(index), response),
+            What::Set { index, .. } => self.set_answered(at, usize::from(index), response),
             What::Cyclic(blocks) => self.cyclic(at, blocks, response, slot),
         }
     }
 
     /// The response to a setting.
-    fn set_answered(&mut self, index: usize, response: &Response<'_>) {
+    fn set_answered(&mut self, at: Time, index: usize, response: &Response<'_>) {
+        if let Response::Exception { code, .. } = response
+            && code.is_busy()
+        {
+            // It follows again.
+            self.note_busy(at);
+            return;
+        }
+        self.conn.busy = None;
         if let End::Disarming(_) = self.end {
             // Refused or not: a repetition would have the same result.
             self.end = End::Done;
@@ -275,8 +283,10 @@ impl Station {
     /// The drive has refused a cyclic request.
     fn refuse(&mut self, at: Time, blocks: Blocks, code: ExceptionCode) {
         match code {
-            ExceptionCode::ACKNOWLEDGE | ExceptionCode::BUSY => {
-                self.conn.busy_since.get_or_insert(at);
+            _ if code.is_busy() => {
+                if self.note_busy(at) <= MOST_REPEATED {
+                    self.take_turn_back(blocks);
+                }
             }
             _ if blocks.is_both() && self.functions.refused(code, blocks.registers) => {
                 self.conn.templates = [None; 2];
@@ -289,9 +299,36 @@ impl Station {
         }
     }
 
+    /// The drive was too busy for a request: for so many in a row.
+    fn note_busy(&mut self, at: Time) -> u8 {
+        let (_, requests) = self.conn.busy.get_or_insert((at, 0));
+        *requests = requests.saturating_add(1);
+        *requests
+    }
+
+    /// The turn of a request that the drive was too busy for comes again: one that is busy in the rhythm of the turns
+    /// would never report the same parameters.
+    fn take_turn_back(&mut self, blocks: Blocks) {
+        let conn = &mut self.conn;
+        if blocks.read.is_some() {
+            conn.reads = conn.reads.wrapping_sub(u32::from(!blocks.confirms));
+            // What is out of turn and what is in turn alternate.
+            conn.confirmed = !blocks.confirms;
+        }
+        match (blocks.write, blocks.read) {
+            (None, _) => conn.written_in_a_row = 1,
+            (Some(_), read) => {
+                conn.writes = conn.writes.wrapping_sub(1);
+                if read.is_none() {
+                    conn.written_in_a_row = conn.written_in_a_row.saturating_sub(1);
+                }
+            }
+        }
+    }
+
     /// The drive has written so many registers.
     fn written(&mut self, at: Time, blocks: Blocks, count: u16, slot: &mut Slot) {
-        (self.conn.refused.0, self.conn.busy_since) = (0, None);
+        (self.conn.refused.0, self.conn.busy) = (0, None);
         let block = blocks.write.and_then(|index| self.mapping().writes().get(usize::from(index)));
         if block.is_some_and(|block| count < block.registers) {
             Own::WrittenShort.count(&mut slot.counters);

@@ -37,7 +37,7 @@ impl Station {
     /// The values of these indices are in the image.
     #[inline(never)]
     pub(super) fn cyclic_read(&mut self, at: Time, blocks: Blocks, places: Places, slot: &mut Slot) {
-        (self.conn.refused.1, self.conn.busy_since) = (0, None);
+        (self.conn.refused.1, self.conn.busy) = (0, None);
         if blocks.write.is_some() {
             self.conn.refused.0 = 0;
         }

@@ -168,6 +168,11 @@ impl ExceptionCode {
     /// 0B: no answer behind a gateway.
     pub const NO_RESPONSE: ExceptionCode = ExceptionCode(0x0B);
 
+    /// The request is to be repeated: 05 and 06.
+    pub const fn is_busy(self) -> bool {
+        matches!(self, Self::ACKNOWLEDGE | Self::BUSY)
+    }
+
     /// Its meaning, if known.
     pub const fn name(self) -> Option<&'static str> {
         Some(match self.0 {

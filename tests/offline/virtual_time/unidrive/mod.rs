@@ -8,6 +8,7 @@ mod loss;
 mod others;
 
 use std::net::{Ipv4Addr, SocketAddrV4};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;
 
@@ -466,6 +467,78 @@ fn each_mischief_of_a_peer_has_its_own_counter_and_moves_no_other() {
         assert_eq!(counted, expected, "{what}");
         assert_eq!(first.missed, u64::from(lost), "{what}: the one exchange that it hit");
         assert_eq!((own(&second), second.missed), (vec![], 0), "{what}: its neighbour");
+    }
+}
+
+/// Each second, third ... request finds it busy, from the first connection on: a parameter whose turn comes in that
+/// rhythm is read all the same.
+#[test]
+fn a_drive_that_is_busy_in_any_rhythm_is_set_up_and_reports_all_parameters() {
+    for via in VIAS {
+        for functions in [Functions::Auto, Functions::Apart] {
+            for (rhythm, exception) in (2..10).flat_map(|rhythm| [(rhythm, 5), (rhythm, 6)]) {
+                let what = format!("{via:?}, {functions:?}, each {rhythm}th, exception {exception}");
+                let mut b = Bench::new(1, via, |_, drive| {
+                    drive.functions = functions;
+                    drive.reply_within_ns = 50 * MS;
+                });
+                let mut requests = 0;
+                b.tap(0).reply = Some(Box::new(move |reply| {
+                    requests += 1;
+                    if requests % rhythm == 0 {
+                        refuse(reply, exception);
+                    }
+                }));
+                b.ready();
+                b.turning(0, 4.0);
+                for _ in 0..500 {
+                    b.run(1);
+                    let age = b.feedback(0).age;
+                    assert!(age <= 20, "{what}: {age} cycles");
+                }
+                b.tap(0).drive.provoke(Trip::OVER_VOLTS);
+                b.until(&what, 100, |b| b.feedback(0).status.fault == u32::from(Trip::OVER_VOLTS.0));
+                b.run(100);
+                b.recover(0);
+                b.done(0, Command::Disable);
+                let counted = own(&b.finish().drives[0].counters);
+                assert!(
+                    counted.iter().all(|(key, _)| *key == self::key(Own::Exceptions)),
+                    "{what}: {counted:?}"
+                );
+            }
+        }
+    }
+}
+
+#[test]
+fn a_parameter_for_which_a_drive_is_always_busy_keeps_no_other_one_away() {
+    for functions in [Functions::Auto, Functions::Apart] {
+        let mut b = Bench::enabled(1, Via::Direct, |_, drive| drive.functions = functions);
+        b.turning(0, 4.0);
+        let is_trip = Arc::new(AtomicBool::new(false));
+        let was_trip = is_trip.clone();
+        b.tap(0).request = Some(Box::new(move |request| {
+            let read = match Request::parse(request).unwrap().1 {
+                Request::Read { address, .. } | Request::ReadWrite { read: address, .. } => Some(address),
+                _ => None,
+            };
+            let parameter = read.and_then(|address| Parameter::from_address(address, Addressing::Standard));
+            is_trip.store(parameter.is_some_and(|(one, _)| one == Parameter::TRIP), Ordering::Relaxed);
+        }));
+        b.tap(0).reply = Some(Box::new(move |reply| {
+            if was_trip.load(Ordering::Relaxed) {
+                refuse(reply, 6);
+            }
+        }));
+        for _ in 0..500 {
+            b.run(1);
+            let age = b.feedback(0).age;
+            assert!(age <= 20, "{functions:?}: {age} cycles");
+        }
+        let counters = b.finish().drives[0].counters;
+        let [busy, given_up] = [Own::Exceptions, Own::GivenUp].map(|own| counters.own[own as usize]);
+        assert!(busy > 50 && given_up == 0, "{functions:?}: {busy}, {given_up}");
     }
 }
 
