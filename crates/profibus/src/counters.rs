@@ -13,7 +13,7 @@ own_counters! {
         WrongEnd = "wrong_end": "telegrams with a wrong end, or cut off",
         WrongStation = "wrong_station": "answers from or to another station",
         WrongAnswer = "wrong_answer": "answers of another service or kind",
-        Refused = "refused": "exchanges and diagnoses that it refused at the moment (UE, RR)",
+        Refused = "refused": "exchanges and diagnoses that it refused (UE, RR, RS)",
         OtherJob = "other_job": "answers to nothing that is under way",
         Noise = "noise": "receptions while nobody was to send",
         SecondMaster = "second_master": "telegrams of another master",

@@ -4,8 +4,31 @@
 use super::counters::Own;
 use fieldbeat_core::bus::diagnosis::{Row, Symptoms, is_most};
 
+/// A start-up is four telegrams at least: diagnosis, Set_Prm, Chk_Cfg, diagnosis.
+const START_UP: u64 = 4;
+
+/// It answers Data_Exchange with RS.
+pub(crate) const LEFT: Row = Row {
+    symptom: "`refused` is most of `missed`, and `start_ups` are four times as many",
+    holds: |of| {
+        let refused = own(of, Own::Refused);
+        of.mostly(refused) && own(of, Own::StartUps) >= START_UP * refused
+    },
+    says: "it does not stay in Data_Exchange",
+    remedy: "raise watchdog, look at configuration and at the process data that the drive is set to, and end \
+             another master that parametrises it",
+};
+
+/// It answers Data_Exchange with UE or RR.
+pub(crate) const OVERLOADED: Row = Row {
+    symptom: "`refused` is most of `missed`",
+    holds: |of| of.mostly(own(of, Own::Refused)),
+    says: "it cannot take its exchanges (UE, RR)",
+    remedy: "raise divisor, or set min_slave_interval as its GSD file has it",
+};
+
 /// The most specific symptoms first.
-pub const DIAGNOSIS: [Row; 5] = [
+pub const DIAGNOSIS: [Row; 7] = [
     Row {
         symptom: "`late` and `duplicate` are a quarter of `slot_times`",
         holds: |of| 4 * (of.counters.late + of.counters.duplicate) > own(of, Own::SlotTimes),
@@ -31,6 +54,8 @@ pub const DIAGNOSIS: [Row; 5] = [
         says: "another station answers in its place",
         remedy: "look for two drives with one address, and at bits.max_tsdr",
     },
+    LEFT,
+    OVERLOADED,
     Row {
         symptom: "`missed`, after it has answered",
         holds: |of| of.counters.missed > 0 && !of.never(),

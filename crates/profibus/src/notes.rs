@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use crossbeam::atomic::AtomicCell;
 
+use super::diagnosis::{LEFT, OVERLOADED};
 use super::start_up::WANTED;
 use super::wire::fc;
 use fieldbeat_core::bus;
@@ -37,6 +38,8 @@ pub(super) enum Note {
     },
     /// It does not become ready after its parametrisation and configuration.
     NotReady,
+    /// It does not stay in Data_Exchange, which it has answered with this function.
+    Left { function: u8 },
     /// Its diagnosis is none.
     Unreadable,
     /// Its watchdog is not on although it was set.
@@ -192,6 +195,8 @@ impl bus::Notes for WireNotes {
                 "it refuses service access point {sap} ({}): look whether it is a DP slave, and restart it",
                 fc::refusal(function)
             ),
+            Note::Left { function: fc::NOT_ACTIVE } => LEFT.to_string(),
+            Note::Left { .. } => OVERLOADED.to_string(),
             Note::Unreadable => {
                 "what it answers as its diagnosis is none: look whether it is a DP slave, and restart it"
                     .into()

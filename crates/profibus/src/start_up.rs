@@ -47,6 +47,8 @@ pub(super) struct StartUp {
     is_due: bool,
     checks: u32,
     note: Note,
+    /// Why it has left Data_Exchange, until it exchanges data again.
+    left: Note,
     /// Refusals in a row, and no Set_Prm before.
     refusals: u32,
     not_before: Time,
@@ -85,6 +87,7 @@ impl StartUp {
             is_due: false,
             checks: 0,
             note: Note::None,
+            left: Note::None,
             refusals: 0,
             not_before: Time(0),
             wanted: Box::new([0; WANTED]),
@@ -111,12 +114,13 @@ impl StartUp {
     /// The drive exchanges data, and has its turns.
     #[inline]
     pub(super) fn settled(&mut self) {
-        self.is_due = false;
+        (self.is_due, self.left) = (false, Note::None);
         (self.refusals, self.not_before) = (0, Time(0));
     }
 
-    /// The drive exchanges no data any more.
-    pub(super) fn left(&mut self, now: Time) {
+    /// The drive exchanges no data any more, for this reason.
+    pub(super) fn left(&mut self, now: Time, why: Note) {
+        self.left = why;
         if self.is_over() && self.is_due {
             // Nor has it ever.
             self.refuse_setup(now, self.note);
@@ -133,7 +137,11 @@ impl StartUp {
     /// Why the drive does not exchange data; `None`: the drive is to say so first.
     pub(super) fn note(&self) -> Option<Note> {
         let asks = self.step == Step::Check && matches!(self.note, Note::Refused { .. });
-        (!asks && self.step != Step::Ask).then_some(self.note)
+        let note = match self.note {
+            Note::None | Note::Unwatched if self.left != Note::None => self.left,
+            note => note,
+        };
+        (!asks && self.step != Step::Ask).then_some(note)
     }
 
     /// The identifier bytes that it wants, as far as there is room for them.

@@ -367,7 +367,7 @@ impl Station {
             self.unsent(slot);
         }
         if self.start_up.is_over() {
-            self.leave(slot);
+            self.leave(Note::None, slot);
         }
         self.start_up.again(false);
     }

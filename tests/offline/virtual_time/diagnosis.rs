@@ -436,6 +436,25 @@ fn of_a_lenze() {
             *bytes = telegram(&bytes[4..7], &bytes[7..bytes.len() - 2]);
         }
     }
+    fn refuse(bytes: &mut Vec<u8>, function: u8) {
+        if of_exchange(bytes) {
+            let check = bytes[4].wrapping_add(bytes[5]).wrapping_add(function);
+            *bytes = vec![0x10, bytes[4], bytes[5], function, check, 0x16];
+        }
+    }
+    const RR: u8 = 2;
+    const RS: u8 = 3;
+    const LEFT: Says = The("it does not stay in Data_Exchange");
+    const OVERLOADED: Says = The("it cannot take its exchanges (UE, RR)");
+    let left: Change = |_, bytes| all(bytes, |bytes| refuse(bytes, RS));
+    let overloaded: Change = |_, bytes| all(bytes, |bytes| refuse(bytes, RR));
+    // It is lost by that and comes back before anybody looks.
+    let left_once: Change = |count, bytes| {
+        if count < 200 {
+            refuse(bytes, RS);
+        }
+        To::Master
+    };
     let damaged: Change = |_, bytes| all(bytes, |bytes| damage(bytes));
     let unreadable: Change = |_, bytes| {
         if !of_exchange(bytes) && bytes.len() > 11 {
@@ -457,6 +476,11 @@ fn of_a_lenze() {
             unready,
         ),
         (case(false, silence, Named("nobody answers at address 3 on /dev/ttyS1")), 0, usual),
+        (case(false, left, LEFT), 0, usual),
+        (case(true, left, LEFT), 0, usual),
+        (case(true, left_once, LEFT), 0, usual),
+        (case(false, overloaded, OVERLOADED), 0, usual),
+        (case(true, overloaded, OVERLOADED), 0, usual),
         (case(true, silence, ENDED), 0, usual),
         (case(true, |count, bytes| first(count, bytes, |bytes| damage(bytes)), ENDED), 0, usual),
         (case(true, |count, bytes| first(count, bytes, sc), ENDED), 0, usual),

@@ -4,6 +4,7 @@ use super::{AWAITED, FCB, FIRST, SECOND, Sending, Station};
 use crate::acyclic::{self, Turn};
 use crate::counters::Own;
 use crate::line::Answer;
+use crate::notes::Note;
 use crate::profile::Inputs;
 use crate::start_up::Step;
 use crate::wire::dp::{Diagnosis, DiagnosisStatus};
@@ -86,7 +87,7 @@ impl Station {
                 self.close(at, slot);
                 self.acyclic.answered(at, acyclic::Answer::Acknowledged);
             }
-            (Sending::Unlock, _) => self.leave(slot),
+            (Sending::Unlock, _) => self.leave(Note::None, slot),
             (Sending::DataExchange | Sending::Diagnosis, Answer::Refused(function))
                 if function != NOT_ACTIVE && self.refused < MOST_REFUSED =>
             {
@@ -97,10 +98,17 @@ impl Station {
                 self.absent(slot);
                 self.diagnosis_due = self.sending == Sending::DataExchange;
             }
-            (Sending::DataExchange | Sending::Diagnosis, _) => {
+            (Sending::DataExchange | Sending::Diagnosis, answer) => {
                 // It does not exchange data any more.
                 self.absent(slot);
-                self.leave(slot);
+                let why = match answer {
+                    Answer::Refused(function) => {
+                        Own::Refused.count(&mut slot.counters);
+                        Note::Left { function }
+                    }
+                    _ => Note::None,
+                };
+                self.leave(why, slot);
             }
         }
     }
@@ -125,13 +133,13 @@ impl Station {
         self.absent(slot);
     }
 
-    /// The drive is not in Data_Exchange any more: it starts up anew.
+    /// The drive is not in Data_Exchange any more, for this reason: it starts up again.
     #[cold]
-    pub(super) fn leave(&mut self, slot: &mut Slot) {
+    pub(super) fn leave(&mut self, why: Note, slot: &mut Slot) {
         if self.start_up.is_over() {
             self.was_lost = true;
         }
-        self.start_up.left(self.grid);
+        self.start_up.left(self.grid, why);
         (self.diagnosis_due, self.passed_over) = (false, false);
         self.profile.dropped();
         self.acyclic.ended();

@@ -1,8 +1,10 @@
 //! What a drive reports: its inputs in user units, its faults by name.
 
 use super::Station;
+use crate::notes::Note;
 use crate::plan::{LenzeDrive, ShownWord};
 use crate::wire::dp::{Diagnosis, DiagnosisStatus};
+use crate::wire::fc::NOT_ACTIVE;
 use fieldbeat_core::axis::feedback::MONITOR_CHANNELS;
 use fieldbeat_core::bus::Slot;
 use fieldbeat_core::time::Time;
@@ -44,7 +46,7 @@ impl Station {
         let elsewhere = diagnosis.master.is_some_and(|master| master != self.own);
         if status.has_any(DiagnosisStatus::PRM_REQ | DiagnosisStatus::NOT_READY) || elsewhere {
             slot.notices.other_master |= elsewhere;
-            return self.leave(slot);
+            return self.leave(Note::Left { function: NOT_ACTIVE }, slot);
         }
         self.profile.watchdog_is(status.has(DiagnosisStatus::WD_ON));
         if !self.inputs.faulted() {
