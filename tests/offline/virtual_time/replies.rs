@@ -101,6 +101,44 @@ fn replies_that_always_come_behind_their_window_are_feedback_with_their_age() {
     assert_eq!((c.sent, c.late, c.answered), (20, 20, 0));
 }
 
+/// As many exchanges are lost in a row as there are definitions, or more: a late reply could be taken for a newer one.
+/// One that differs from all of them ends that.
+#[test]
+fn a_run_of_lost_exchanges_makes_a_few_replies_suspect_wherever_they_come() {
+    for (latency_us, within, monitor) in [
+        (40, 1, MonitorPlan::Off),
+        (260, 2, MonitorPlan::AsSet),
+        (600, 2, MonitorPlan::Off),
+        (1_100, 3, MonitorPlan::AsSet),
+        (3_200, 7, MonitorPlan::Off),
+    ] {
+        let online = || {
+            let mut rig = Rig::new(1).each(|_, drive| {
+                (drive.reply_within, drive.monitor) = (Some(within), monitor);
+                drive.axis.health.bucket = 50;
+            });
+            rig.options = WorldOptions { latency_ns: latency_us * US, ..rig.options };
+            rig.online()
+        };
+        for lost in 1..=20 {
+            let mut b = online();
+            b.ready();
+            b.world().set_faults(address(0), FaultPlan { drop: 1.0, ..FaultPlan::default() });
+            b.run(lost);
+            b.world().set_faults(address(0), FaultPlan::default());
+            b.done(0, to(10.0));
+            b.run(50);
+            let c = b.finish().drives[0].counters;
+            assert!(c.suspect <= 12, "{latency_us} us, {monitor:?}, {lost} lost: {c:?}");
+        }
+        let mut b = online();
+        b.world().set_faults(address(0), FaultPlan { seed: 11, drop: 0.05, ..FaultPlan::default() });
+        b.run(5_000);
+        let c = b.finish().drives[0].counters;
+        assert!(10 * c.suspect < c.answered, "{latency_us} us, {monitor:?}: {c:?}");
+    }
+}
+
 #[test]
 fn replies_and_requests_in_disorder_are_no_lost_link() {
     let disorder = FaultPlan { seed: 7, reorder: 0.25, ..FaultPlan::default() };

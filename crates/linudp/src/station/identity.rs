@@ -54,12 +54,13 @@ pub(super) struct Identity {
     without_miss: u8,
     /// The reply that closed the last exchange was suspect.
     suspect: bool,
-    /// So was the one before the last request, which differs from those before it: its reply cannot be mistaken for
-    /// theirs, which may still come.
+    /// A reply was suspect: the next request that is built differs from those before it.
+    odd_due: bool,
+    /// So does the last request: its reply cannot be mistaken for theirs, which may still come.
     odd_requested: bool,
     /// The blocks by which the requests of one kind differ.
     varies: ResponseDef,
-    /// The block that the request after a suspect reply has or lacks.
+    /// The block that a request behind a suspect reply has or lacks.
     odd: ResponseDef,
     /// The kinds of the requests before the last one, newest first, without repetitions in a row: as far back as late
     /// replies come from while the link is still online.
@@ -142,6 +143,7 @@ impl Identity {
             mistakable: 0,
             without_miss: 0,
             suspect: false,
+            odd_due: false,
             odd_requested: false,
         }
     }
@@ -152,7 +154,7 @@ impl Identity {
         let usual = self.in_turn.get(usize::from(self.turn)).copied().unwrap_or_default();
         // After a suspect reply the definition differs from the earlier ones, so that the echo distinguishes its reply
         // from all late ones: if they were always one cycle behind, each would pass for the newest for ever.
-        if self.suspect { ResponseDef(usual.0 ^ self.odd.0) } else { usual }
+        if self.odd_due { ResponseDef(usual.0 ^ self.odd.0) } else { usual }
     }
 
     /// The prepared request has gone out.
@@ -161,7 +163,12 @@ impl Identity {
         if self.open || self.suspect || self.under_way > 0 || self.without_miss < FORGOTTEN_AFTER {
             self.count();
         }
-        (self.open, self.suspect, self.odd_requested) = (true, false, self.suspect);
+        (self.open, self.suspect, self.odd_requested) = (true, false, false);
+        if self.odd_due {
+            // The prepared one may have been built before that was known.
+            self.odd_requested = self.is_odd(self.prepared);
+            self.odd_due = !self.odd_requested;
+        }
         // A power of two.
         self.turn = (self.turn + 1) & (self.turns - 1);
         if !self.is_same_kind(self.requested, self.prepared) {
@@ -202,7 +209,9 @@ impl Identity {
         let named = self.requested.tag.is_some();
         let suspect = !named && !self.odd_requested && self.mistakable >= self.turns;
         (self.open, self.suspect) = (false, suspect);
-        if !named && !suspect {
+        if suspect {
+            self.odd_due = true;
+        } else if !named {
             // Replies come in the order of their requests: after this one the earlier ones count as lost.
             self.mistakable = 0;
         }
@@ -236,8 +245,14 @@ impl Identity {
     /// The exchange at this place is answered; true: the reply may be that of an older one.
     pub(super) fn answer_earlier(&mut self, place: usize) -> bool {
         let echo = self.earlier[place].echo;
-        let suspect = echo.tag.is_none() && self.mistakable >= self.turns;
+        let suspect = echo.tag.is_none() && !self.is_odd(echo) && self.mistakable >= self.turns;
         self.forget(place);
+        if suspect {
+            // One at a time: of two their replies could be mistaken.
+            let earlier = &self.earlier[..usize::from(self.earlier_count)];
+            let is_odd_owed = earlier.iter().any(|earlier| self.is_odd(earlier.echo));
+            self.odd_due |= !is_odd_owed && !(self.open && self.odd_requested);
+        }
         if self.open && echo == self.requested {
             // No request has left since.
             (self.open, self.suspect) = (false, suspect);
@@ -248,11 +263,16 @@ impl Identity {
         }
         self.take_late();
         if !suspect {
-            // Those before it count as lost; those behind it are under way.
-            let behind = usize::from(self.earlier_count).saturating_sub(place) + usize::from(self.open);
+            // Those before it count as lost; those behind it are under way. The open one is counted as the next leaves.
+            let behind = usize::from(self.earlier_count).saturating_sub(place);
             self.mistakable = self.mistakable.min(behind as u8);
         }
         suspect
+    }
+
+    /// The request that has this echo differs from the usual ones.
+    fn is_odd(&self, echo: Echo) -> bool {
+        (echo.response.0 ^ self.in_turn[0].0) & self.odd.0 != 0
     }
 
     /// The exchange at this place is over.
@@ -269,6 +289,7 @@ impl Identity {
             // more of them.
             self.take_late();
             self.suspect = self.mistakable >= self.turns;
+            self.odd_due |= self.suspect;
             return Unrequested::Second { suspect: self.suspect };
         }
         let named = self.requested.tag.is_some() || (self.turns > 1 && !self.suspect);
