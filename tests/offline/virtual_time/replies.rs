@@ -139,6 +139,45 @@ fn a_run_of_lost_exchanges_makes_a_few_replies_suspect_wherever_they_come() {
     }
 }
 
+/// Late is what comes once to an exchange that was missed: neither a copy of what was answered in time, however much of
+/// that is under way, nor one of what was late.
+#[test]
+fn no_copy_of_a_reply_is_late() {
+    let copied = FaultPlan { seed: 11, duplicate: 0.7, ..FaultPlan::default() };
+    let lost = FaultPlan { drop: 0.05, ..copied.clone() };
+    let delayed = FaultPlan { delay: 0.02, delay_ns: 5_000 * US, ..copied.clone() };
+    for (tag, monitor) in [
+        (ReplyTag::Definition, MonitorPlan::Off),
+        (ReplyTag::Definition, MonitorPlan::AsSet),
+        (ReplyTag::Count, MonitorPlan::Off),
+    ] {
+        for (latency_us, within) in [(40, 1), (260, 2), (600, 2), (1_100, 3)] {
+            let counted = |faults: &FaultPlan| {
+                let mut rig = Rig::new(1).each(|_, drive| {
+                    (drive.reply_within, drive.monitor, drive.reply_tag) = (Some(within), monitor, tag);
+                    drive.axis.health.bucket = 50;
+                });
+                rig.options = WorldOptions { latency_ns: latency_us * US, ..rig.options };
+                let mut b = rig.online();
+                b.world().set_faults(address(0), faults.clone());
+                b.run(5_000);
+                let c = b.finish().drives[0].counters;
+                (c, format!("{tag:?}, {monitor:?}, {latency_us} us: {c:?}"))
+            };
+            let (c, what) = counted(&copied);
+            assert_eq!((c.missed, c.late), (0, 0), "{what}");
+            assert!(c.duplicate > 5_000, "{what}");
+            let (c, what) = counted(&lost);
+            // Behind a run of lost ones an older reply may still come.
+            assert!(c.missed > 300 && 10 * c.late < c.missed, "{what}");
+            let (c, what) = counted(&delayed);
+            // One that is overtaken by a whole round of definitions has the echo of another one.
+            let least = if monitor == MonitorPlan::Off { 20 } else { 1 };
+            assert!((least..=c.missed).contains(&c.late), "{what}");
+        }
+    }
+}
+
 #[test]
 fn replies_and_requests_in_disorder_are_no_lost_link() {
     let disorder = FaultPlan { seed: 7, reorder: 0.25, ..FaultPlan::default() };

@@ -47,6 +47,11 @@ pub(super) struct Identity {
     open: bool,
     /// Replies to earlier requests that may still come: such a one is late and no duplicate.
     under_way: u8,
+    /// Those among them that have no reply yet, by their definitions that take turns, or by their counts: a bit each.
+    /// What comes to any other one is a duplicate.
+    unanswered: u16,
+    /// Older ones: no request of the round of definitions behind them has a reply either.
+    older: u8,
     /// Those among them that were sent since the last clean reply. If there are as many as definitions, one of them
     /// looks like the reply to the next request: that reply is suspect.
     mistakable: u8,
@@ -140,6 +145,8 @@ impl Identity {
             earlier_count: 0,
             open: false,
             under_way: 0,
+            unanswered: 0,
+            older: 0,
             mistakable: 0,
             without_miss: 0,
             suspect: false,
@@ -182,14 +189,37 @@ impl Identity {
     #[inline(never)]
     fn count(&mut self) {
         if self.open {
+            self.unanswered |= self.bit(self.turn.wrapping_sub(1) & (self.turns - 1), self.requested.tag);
             self.under_way = (self.under_way + 1).min(MOST_UNDER_WAY);
             self.mistakable = (self.mistakable + 1).min(MOST_UNDER_WAY);
             self.without_miss = 0;
         } else if self.without_miss < FORGOTTEN_AFTER {
             self.without_miss += 1;
         } else {
-            self.under_way = 0;
+            (self.under_way, self.unanswered, self.older) = (0, 0, 0);
         }
+        if self.turns > 1 && self.unanswered == (1 << self.turns) - 1 {
+            self.older = (self.older + 1).min(MOST_UNDER_WAY);
+        }
+        // The next reply with its echo is its own.
+        self.unanswered &= !self.bit(self.turn, self.prepared.tag);
+    }
+
+    /// The bit of a request in this turn, or with this count; 0: all have the same echo.
+    fn bit(&self, turn: u8, tag: Option<u8>) -> u16 {
+        match tag {
+            Some(count) => 1 << (count & 0xF),
+            None if self.turns > 1 => 1 << turn,
+            None => 0,
+        }
+    }
+
+    /// That of the request which a reply echoes.
+    fn bit_of(&self, response: ResponseDef, tag: Option<u8>) -> u16 {
+        let in_turn = &self.in_turn[..self.turns.into()];
+        let blocks = in_turn.iter().fold(0, |all, definition| all | definition.0 ^ in_turn[0].0);
+        let turn = in_turn.iter().position(|definition| (definition.0 ^ response.0) & blocks == 0);
+        self.bit(turn.unwrap_or(0) as u8, tag)
     }
 
     /// The last exchange has no reply yet.
@@ -261,7 +291,7 @@ impl Identity {
             }
             return suspect;
         }
-        self.take_late();
+        self.take_late(self.bit_of(echo.response, echo.tag));
         if !suspect {
             // Those before it count as lost; those behind it are under way. The open one is counted as the next leaves.
             let behind = usize::from(self.earlier_count).saturating_sub(place);
@@ -287,7 +317,7 @@ impl Identity {
         if answers && in_window && self.suspect {
             // Two replies in one window: the first was a late one. This one is the requested reply, unless there may be
             // more of them.
-            self.take_late();
+            self.take_late(0);
             self.suspect = self.mistakable >= self.turns;
             self.odd_due |= self.suspect;
             return Unrequested::Second { suspect: self.suspect };
@@ -303,15 +333,22 @@ impl Identity {
             self.without_miss = 0;
             return Unrequested::Late;
         }
-        if self.under_way > 0 && !(answers && named) {
-            self.take_late();
+        let tag = self.requested.tag.and_then(|_| Some(view.config()?.count()));
+        let bit = self.bit_of(view.response_def(), tag);
+        let is_owed = bit == 0 || self.unanswered & bit != 0 || self.older > 0;
+        if self.under_way > 0 && is_owed && !(answers && named) {
+            self.take_late(bit);
             return Unrequested::Late;
         }
         Unrequested::Duplicate
     }
 
     /// A reply to an earlier request has come.
-    fn take_late(&mut self) {
+    fn take_late(&mut self, bit: u16) {
+        if bit != 0 && self.unanswered & bit == 0 {
+            self.older = self.older.saturating_sub(1);
+        }
+        self.unanswered &= !bit;
         self.under_way = self.under_way.saturating_sub(1);
         self.mistakable = self.mistakable.saturating_sub(1);
     }

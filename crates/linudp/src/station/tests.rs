@@ -105,6 +105,43 @@ fn a_reply_that_is_up_to_seven_exchanges_late_is_never_the_newest() {
     }
 }
 
+/// The drive, or this computer, stands still for so many exchanges, and all of their replies come at once.
+#[test]
+fn each_reply_that_was_held_up_is_late_once_and_its_copy_a_duplicate() {
+    for (monitor, tag) in [
+        (MonitorPlan::Off, ReplyTag::Definition),
+        (MonitorPlan::AsSet, ReplyTag::Definition),
+        (MonitorPlan::Off, ReplyTag::Count),
+    ] {
+        for held in 1..=12 {
+            let (reply_within, reply_tag) = (Some(1), tag);
+            let drive = LinUdpDrive::new("x", Ipv4Addr::LOCALHOST);
+            let mut b = Bench::new(&LinUdpDrive { monitor, reply_within, reply_tag, ..drive });
+            for _ in 0..20 {
+                let request = b.send();
+                b.reply(&request, 1);
+            }
+            let held_up = |b: &mut Bench| {
+                let request = b.send();
+                // As the loop judges it.
+                b.slot.exchange = Exchange::Missed;
+                request
+            };
+            let requests: Vec<Request> = (0..held).map(|_| held_up(&mut b)).collect();
+            let last = b.send();
+            b.reply(&last, 1);
+            let what = format!("{held} of {monitor:?}, {tag:?}");
+            let counted = |b: &Bench| (b.slot.counters.late, b.slot.counters.duplicate);
+            for (n, request) in requests.iter().enumerate() {
+                b.reply(request, 1);
+                assert_eq!(counted(&b), (n as u64 + 1, 0), "{what}");
+            }
+            requests.iter().rev().take(3).for_each(|request| b.reply(request, 1));
+            assert_eq!(counted(&b), (held, held.min(3)), "{what}");
+        }
+    }
+}
+
 #[test]
 fn a_stop_is_done_by_two_replies_with_its_own_count_and_by_no_others() {
     let mut b = Bench::new(&LinUdpDrive::new("x", Ipv4Addr::LOCALHOST));
