@@ -132,9 +132,10 @@ impl Set {
         let lines: Vec<String> = others
             .map(|((address, read), written)| {
                 let (written, read) = (notation.show(address, *written), notation.show(address, *read));
+                let drive = reach.drive();
                 format!(
-                    "drive {}: {address} = {written} was written, and it is {read} now; something else sets it",
-                    reach.drive()
+                    "drive {drive}: {address} = {written} was written, and it is {read} now; something else \
+                     sets it"
                 )
             })
             .collect();
