@@ -10,7 +10,7 @@ use std::process::{Child, Command, Stdio};
 use libc::SIGINT;
 
 use super::support::{Ended, Machine, PROGRAM, UNJUDGED, period, run};
-use super::{end_once_online, master, simulation};
+use super::{end_once_online, limit_files, master, simulation};
 
 /// The protocols with the drives of each.
 const PROTOCOLS: [&str; 5] = ["linudp-v2", "modbus-tcp", "ethercat", "ethernet-ip", "profibus-dp"];
@@ -166,7 +166,13 @@ fn nothing_is_replaced_unless_that_is_wanted_and_what_cannot_be_written_is_print
     symlink(machine.path("nowhere"), &link).unwrap();
     init(&link, &defaults, "").refused(&["link.toml is there already"]);
     assert!(!machine.path("nowhere").exists());
-    let ended = init(&file.join("machine.toml"), &defaults, "");
+    // Known before a question; on a disk that is full by then the answers are not lost.
+    let ended = init(&file.join("machine.toml"), &["--protocol", "modbus-tcp"], "");
+    ended.refused(&["machine.toml cannot be written: ", "name a file where this user may write"]);
+    assert!(ended.out.is_empty(), "{}", ended.out);
+    let mut full = Command::new(PROGRAM);
+    limit_files(&mut full, 200);
+    let ended = init_by(full, &machine.path("other.toml"), &defaults, "");
     assert!(ended.expect(1).out.contains("\nprotocol = \"modbus-tcp\"\n"), "{}", ended.out);
     assert!(ended.err.contains("cannot be written") && ended.err.lines().count() == 1, "{}", ended.err);
     init(&file, &["--yes", "--protocol", "modbus-tcp", "--force"], "").expect(0);

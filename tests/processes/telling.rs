@@ -22,7 +22,7 @@ use super::support::hold::{Hold, thread};
 use super::support::{
     Ended, LONG, Machine, NOBODY, PROGRAM, Program, as_ordinary_user, checkout, plan, run, until,
 };
-use super::{ask, metrics, patient_cycle, simulation};
+use super::{ask, assert_silent, metrics, patient_cycle, simulation, socket};
 
 /// A command of the program whose sockets and files are the machine's own.
 fn own(machine: &Machine, arguments: &[&str]) -> Command {
@@ -430,17 +430,52 @@ fn a_black_box_that_cannot_be_written_is_told_and_the_run_goes_on() {
     let machine = Machine::new(46);
     let config = machine.plain(1);
     let _sim = simulation(&config);
-    let way = machine.write("in-the-way", "");
-    // As a user who may not, whoever runs the tests.
-    let mut command = as_ordinary_user(&machine);
-    command.arg("run").arg(&config).args(["--json", "--black-box", way.join("boxes").to_str().unwrap()]);
+    let boxes = machine.path("boxes");
+    let mut command = own(&machine, &["run"]);
+    command.arg(&config).args(["--json", "--black-box"]).arg(&boxes);
     let mut master = Program::spawn(&mut command);
     master.await_text("all drives online");
+    // It could be written to at the start.
+    fs::remove_dir(&boxes).unwrap();
+    machine.write("boxes", "");
     master.signal(SIGUSR1);
     master.await_text("black box not written: ");
     let ended = end(master);
     let summary = ended.expect(0).json();
     assert!(summary["black_boxes"][0]["error"].as_str().is_some(), "{summary}");
+}
+
+#[test]
+fn a_black_box_without_a_place_is_known_before_anything_is_sent() {
+    let machine = Machine::new(136);
+    let config = machine.plain(1);
+    let drive = socket(machine.drive(0));
+    let locked = machine.path("locked");
+    fs::create_dir(&locked).unwrap();
+    fs::set_permissions(&locked, PermissionsExt::from_mode(0o555)).unwrap();
+    let run = |arguments: &[&str]| {
+        let mut command = as_ordinary_user(&machine);
+        command.env("XDG_STATE_HOME", &locked).arg("run").arg(&config).args(["--for", "300ms"]);
+        Program::spawn(command.args(arguments)).end()
+    };
+    for place in [locked.join("boxes"), config.join("boxes")] {
+        let parts = ["fieldbeat: black box ", "/boxes: cannot write there: ", "that this user may write to"];
+        run(&["--black-box", place.to_str().unwrap()]).refused(&parts);
+    }
+    assert_silent(&drive);
+    drop(drive);
+
+    // Nobody has named the usual one.
+    let _sim = simulation(&config);
+    let known = format!("black box {}/fieldbeat: cannot write there: Permission denied", locked.display());
+    let ended = run(&[]);
+    assert_eq!(ended.err.matches(&known).count(), 1, "{}", ended.err);
+    // Of a run that leaves no file there is nothing.
+    let place = machine.path("a/b");
+    master(&machine, &config, &["--for", "300ms", "--black-box", place.to_str().unwrap()]).end();
+    assert!(!machine.path("a").exists());
+    // So that it can be removed.
+    fs::set_permissions(&locked, PermissionsExt::from_mode(0o755)).unwrap();
 }
 
 /// An error of this software in the loop of a program that embeds it: the axes stop, the loop ends by itself, and the

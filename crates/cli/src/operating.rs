@@ -8,12 +8,12 @@ use std::time::{Duration, Instant};
 use fieldbeat_control::{AxisFacts, AxisState, OperateError, OperationState, Operator, Server, Station};
 use fieldbeat_core::cycle::Plan;
 use fieldbeat_master::Master;
-use fieldbeat_record::blackbox::default_directory;
 
 use super::handler::serve;
 use super::interrupt::{Interrupt, LOOK_EVERY};
 use super::masters::Running;
 use super::output::judge_end;
+use super::serving::with_usual_black_box;
 use super::{Stop, complain, run};
 
 /// The longest that axes are waited for which their master stops.
@@ -53,8 +53,7 @@ impl Reached {
 
     /// Those of a master in this process, which it ends.
     pub fn alone(plan: Plan, interrupt: &Interrupt, command: &str) -> Result<Reached, Stop> {
-        let setup = Master::from_plan(plan).with_black_box(default_directory());
-        let master = run::start(setup, interrupt)?;
+        let master = run::start(with_usual_black_box(plan), interrupt)?;
         let axes = run::all_axes(&master)?;
         let station = Station::start(axes, master.monitor()).map_err(Stop::failed)?;
         let operator = Operator::local(&station);

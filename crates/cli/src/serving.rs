@@ -1,11 +1,14 @@
 //! What every command that runs a master offers meanwhile: metrics, the scope, and the black box.
 
-use std::path::PathBuf;
+use std::io;
+use std::path::{Path, PathBuf};
 
 use clap::Args;
 use fieldbeat_core::cycle::Plan;
+use fieldbeat_core::errors::no_descriptor;
 use fieldbeat_master::{Master, Setup};
 use fieldbeat_record::blackbox::default_directory;
+use fieldbeat_record::file::Place;
 use fieldbeat_record::metrics;
 use fieldbeat_record::metrics::{Endpoint, MetricsError, Server};
 
@@ -31,7 +34,7 @@ pub struct Serving {
 pub struct Served {
     endpoint: Option<Endpoint>,
     scope: scope::Served,
-    black_box: PathBuf,
+    black_box: Option<Place>,
 }
 
 /// Answer for as long as they are held.
@@ -39,6 +42,8 @@ pub struct Served {
 pub struct Servers {
     _metrics: Option<Server>,
     _scope: scope::Held,
+    /// Its directory stays if there is a file in it.
+    _black_box: Option<Place>,
 }
 
 impl Serving {
@@ -53,7 +58,7 @@ impl Serving {
         Ok(Served {
             endpoint,
             scope: self.scope.prepare()?,
-            black_box: self.black_box.unwrap_or_else(default_directory),
+            black_box: self.black_box.map(black_box).transpose()?,
         })
     }
 }
@@ -61,7 +66,10 @@ impl Serving {
 impl Served {
     /// The machine of `plan`, with its black box.
     pub fn setup(&self, plan: Plan) -> Setup {
-        Master::from_plan(plan).with_black_box(&self.black_box)
+        match &self.black_box {
+            Some(place) => Master::from_plan(plan).with_black_box(place.directory()),
+            None => with_usual_black_box(plan),
+        }
     }
 
     /// Answers with the numbers of `master` for as long as what it returns is held.
@@ -80,6 +88,32 @@ impl Served {
         Ok(Servers {
             _metrics: self.endpoint.map(serve).transpose()?,
             _scope: self.scope.serve(&master.monitor())?,
+            _black_box: self.black_box,
         })
     }
+}
+
+/// A directory that was named for it.
+fn black_box(directory: PathBuf) -> Result<Place, Stop> {
+    Place::prepare(&directory).map_err(|why| {
+        let remedy = no_descriptor(&why).unwrap_or("name a directory that this user may write to");
+        Stop::usage(format!("{}; {remedy}", cannot_write(&directory, &why)))
+    })
+}
+
+/// The machine of `plan`, with a black box in the usual directory. Nobody named that: it is no reason not to start, but
+/// it is known at once.
+pub fn with_usual_black_box(plan: Plan) -> Setup {
+    let directory = default_directory();
+    if plan.black_box_records() > 0
+        && let Err(why) = Place::prepare(&directory)
+    {
+        let why = cannot_write(&directory, &why);
+        complain(&format!("{why}; what leads to a failure is lost without it"));
+    }
+    Master::from_plan(plan).with_black_box(directory)
+}
+
+fn cannot_write(directory: &Path, why: &io::Error) -> String {
+    format!("black box {}: cannot write there: {why}", directory.display())
 }

@@ -8,7 +8,7 @@ use std::path::Path;
 use clap::error::ErrorKind;
 use clap::{ArgMatches, Command, FromArgMatches, Subcommand};
 use fieldbeat_core::axis::acyclic::{Access, Progress};
-use fieldbeat_record::file::save;
+use fieldbeat_record::file::{Place, save};
 use fieldbeat_tools::{Drive, OwnMaster, Program, Reached, Stop, Tool};
 
 use super::interrupt::Interrupt;
@@ -103,6 +103,10 @@ impl Program for Host {
 
     fn meter(&self) -> Box<dyn FnMut(Progress) -> ControlFlow<()> + '_> {
         Box::new(Meter::new(&self.interrupt).watch())
+    }
+
+    fn can_save(&self, path: &Path) -> io::Result<()> {
+        Place::of_file(path).map(drop)
     }
 
     fn save(&self, path: &Path, bytes: &[u8]) -> io::Result<()> {

@@ -19,7 +19,7 @@ use thiserror::Error;
 
 use super::archive::Archive;
 pub use super::archive::ArchiveError;
-use super::file::save;
+use super::file::{Place, save};
 use super::hgrm::distribution;
 use super::page::Page;
 use super::summary::Drive;
@@ -37,12 +37,10 @@ pub const CHECKPOINT: &str = "checkpoint.json";
 /// The plots of earlier versions, which are on the page now.
 const PLOTS: [&str; 4] = ["wake.svg", "percentiles.svg", "rtt.svg", "timeline.svg"];
 
-/// A place for a report. Dropped without one, it removes the directories that it made.
+/// A place for a report. Dropped without one, it leaves nothing there.
 #[derive(Debug)]
 pub struct Report {
-    directory: PathBuf,
-    /// What was missing of it, the innermost first.
-    made: Vec<PathBuf>,
+    place: Place,
     /// Earlier runs, by their names.
     earlier: Vec<(String, Archive)>,
     /// Texts at the end of the page, by their titles.
@@ -96,28 +94,21 @@ impl Report {
     /// removes that again.
     pub fn create(directory: impl Into<PathBuf>) -> Result<Report, ReportError> {
         let directory = directory.into();
-        // `try_exists` and not `exists`: what cannot be looked at is not missing.
-        let missing = |path: &&Path| matches!(path.try_exists(), Ok(false)) && !path.as_os_str().is_empty();
-        let made = directory.ancestors().take_while(missing).map(Path::to_owned).collect();
-        // From here on, whatever fails takes what was made along.
-        let report = Report { directory, made, earlier: Vec::new(), texts: Vec::new() };
-        let directory = &report.directory;
         if directory.exists() && !directory.is_dir() {
-            return Err(ReportError::NotADirectory(directory.clone()));
+            return Err(ReportError::NotADirectory(directory));
         }
         if directory.join(CHECKPOINT).exists() {
-            return Err(ReportError::Soak(directory.clone()));
+            return Err(ReportError::Soak(directory));
         }
-        let probe = directory.join(".fieldbeat-report");
-        match save(&probe, b"a report comes here\n").and_then(|()| fs::remove_file(&probe)) {
-            Ok(()) => Ok(report),
-            Err(error) => Err(ReportError::Directory { directory: directory.clone(), error }),
+        match Place::prepare(&directory) {
+            Ok(place) => Ok(Report { place, earlier: Vec::new(), texts: Vec::new() }),
+            Err(error) => Err(ReportError::Directory { directory, error }),
         }
     }
 
     /// Where it is written.
     pub fn directory(&self) -> &Path {
-        &self.directory
+        self.place.directory()
     }
 
     /// Compares the run with an earlier one, whose report wrote the file `run.json`: their latencies lie over each
@@ -134,9 +125,9 @@ impl Report {
 
     /// Writes the report; files of the same names are replaced, and others of an earlier report removed.
     pub fn write(&self, run: &Run, summary: &Summary) -> Result<(), ReportError> {
-        let failed = |name: &str, error| ReportError::File { file: self.directory.join(name), error };
+        let failed = |name: &str, error| ReportError::File { file: self.directory().join(name), error };
         let save = |name: &str, text: &str| {
-            save(&self.directory.join(name), text.as_bytes()).map_err(|error| failed(name, error))
+            save(&self.directory().join(name), text.as_bytes()).map_err(|error| failed(name, error))
         };
         let [page, name, archive_name] = FILES;
         let json = serde_json::to_string(summary).map_err(|error| failed(name, error.into()))?;
@@ -169,7 +160,7 @@ impl Report {
     /// Removes the files of an earlier report that are not among `kept`.
     fn remove_all_but(&self, kept: &[(String, String)]) -> Result<(), ReportError> {
         let mut result = Ok(());
-        for entry in fs::read_dir(&self.directory).into_iter().flatten().flatten() {
+        for entry in fs::read_dir(self.directory()).into_iter().flatten().flatten() {
             let name = entry.file_name();
             let stale = |name: &str| is_ours(name) && kept.iter().all(|(kept, _)| kept != name);
             if !name.to_str().is_some_and(stale) || entry.file_type().is_ok_and(|kind| kind.is_dir()) {
@@ -247,36 +238,4 @@ fn is_ours(name: &str) -> bool {
             || ["stage-", "rtt-", "send-jitter-", "age-"].iter().any(|kind| name.starts_with(kind))
     };
     name.strip_suffix(".hgrm").is_some_and(histogram) || PLOTS.contains(&name)
-}
-
-impl Drop for Report {
-    fn drop(&mut self) {
-        for directory in &self.made {
-            // Refused if there is a report in it.
-            let _ = fs::remove_dir(directory);
-        }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn nothing_is_left_of_a_report_that_was_not_written() {
-        let place = tempfile::tempdir().unwrap();
-        let deep = place.path().join("a/b/c");
-        let report = Report::create(&deep).unwrap();
-        assert!(deep.is_dir() && fs::read_dir(&deep).unwrap().next().is_none());
-        drop(report);
-        assert!(!place.path().join("a").exists() && place.path().exists());
-    }
-
-    #[test]
-    fn what_was_there_stays() {
-        let place = tempfile::tempdir().unwrap();
-        fs::write(place.path().join("notes"), "mine").unwrap();
-        drop(Report::create(place.path()).unwrap());
-        assert_eq!(fs::read_to_string(place.path().join("notes")).unwrap(), "mine");
-    }
 }

@@ -102,6 +102,9 @@ pub trait Program {
     /// Shows how far a transfer is until it is dropped; breaks the transfer off if its end was requested.
     fn meter(&self) -> Box<dyn FnMut(Progress) -> ControlFlow<()> + '_>;
 
+    /// Whether a file of that name can be written, before there is anything to write. Leaves nothing behind.
+    fn can_save(&self, path: &Path) -> io::Result<()>;
+
     /// Writes a file whole or not at all.
     fn save(&self, path: &Path, bytes: &[u8]) -> io::Result<()>;
 }

@@ -18,7 +18,7 @@ use clap::Args;
 use fieldbeat_config::PROTOCOLS;
 use fieldbeat_keys::Protocol;
 use fieldbeat_keys::outline::{Found, Known, Line, Outline, Unit, Usual, addresses};
-use fieldbeat_record::file::{save, save_new};
+use fieldbeat_record::file::{Place, save, save_new};
 
 use self::ask::Answers;
 use self::draft::{Block, Draft};
@@ -128,6 +128,10 @@ impl Init {
                 "{file} is there already; name another file, or replace it by --force"
             )));
         }
+        // Known before the first question.
+        let _place = Place::of_file(&self.file).map_err(|why| {
+            Stop::usage(format!("{file} cannot be written: {why}; name a file where this user may write"))
+        })?;
         let answers = Answers::new(self.yes)?;
         let protocol = match self.protocol {
             Some(protocol) => protocol,

@@ -2,7 +2,8 @@
 
 mod motion;
 
-use std::path::{Path, PathBuf};
+use std::io;
+use std::path::PathBuf;
 
 use clap::{Args, Subcommand};
 use serde_json::json;
@@ -185,7 +186,7 @@ impl CurveDoes {
                 list(program, shown.json, ids, "no curve")
             }),
             CurveDoes::Get(CurveGet { get, id }) => {
-                get.check()?;
+                get.check(program)?;
                 with(&get.drive, program, |services| {
                     let id = match id {
                         Some(id) => id,
@@ -224,7 +225,7 @@ impl TableDoes {
                 list(program, shown.json, ids.iter().map(|id| id.wire()).collect(), "no entry")
             }),
             TableDoes::Get(get) => {
-                get.check()?;
+                get.check(program)?;
                 with(&get.drive, program, |services| {
                     let table = services.table(&mut *program.meter())?;
                     get.write(program, &table_file::to_text(&table))?;
@@ -367,21 +368,23 @@ fn errors(program: &dyn Program, services: &Services<'_>, as_json: bool) -> Resu
 
 impl Get {
     /// Nothing is read for a file that will not be written.
-    fn check(&self) -> Result<(), Stop> {
-        match self.file.exists() && !self.force {
-            true => Err(Stop::usage(format!(
+    fn check(&self, program: &dyn Program) -> Result<(), Stop> {
+        if self.file.exists() && !self.force {
+            return Err(Stop::usage(format!(
                 "{} exists; name another file, or replace it with --force",
                 self.file.display()
-            ))),
-            false => Ok(()),
+            )));
         }
+        program.can_save(&self.file).map_err(|why| Stop::usage(self.unwritten(&why)))
     }
 
     fn write(&self, program: &dyn Program, text: &str) -> Result<(), Stop> {
-        let path: &Path = &self.file;
-        program.save(path, text.as_bytes()).map_err(|error| {
-            Stop::failed(format!("cannot write {}: {error}; name another place", path.display()))
-        })
+        let written = program.save(&self.file, text.as_bytes());
+        written.map_err(|why| Stop::failed(self.unwritten(&why)))
+    }
+
+    fn unwritten(&self, why: &io::Error) -> String {
+        format!("cannot write {}: {why}; name another place", self.file.display())
     }
 }
 
