@@ -255,3 +255,23 @@ fn a_motion_command_has_run_when_it_says_so_and_is_no_success_if_it_was_interrup
     assert_eq!(last, "fieldbeat: drive d0: interrupted; ramped down and switched off");
     assert!(!onlooker.look(machine.drive(0)).powered);
 }
+
+#[test]
+fn a_motion_that_leads_out_of_the_limits_is_refused_before_the_drive_has_power() {
+    let machine = Machine::new(137);
+    let config = machine.plain(1);
+    let drive = socket(machine.drive(0));
+    let rest = "velocity=10 acceleration=100 deceleration=100 --home";
+    let command = |what: &str| ask("linmot command", &config, &format!("d0 {what} {rest}"));
+    command("vai-go-to position=5000").refused(&["drive d0: position 5000 is outside its limit (0 ... 400)"]);
+    command("vai-increment-demand distance=401").refused(&["drive d0: distance 401 ", "(-400 ... 400)"]);
+    assert_silent(&drive);
+    drop(drive);
+
+    // Where the drive is homed its place counts, too.
+    let _sim = serve(&config);
+    command("vai-go-to position=20").expect(0);
+    let ended = command("vai-increment-demand distance=390");
+    ended.refused(&["drive d0: distance 390 is outside its limit (-20", "... 380"]);
+    command("vai-increment-demand distance=-10").expect(0);
+}

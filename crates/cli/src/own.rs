@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use fieldbeat_core::axis::{Axis, Link};
 use fieldbeat_core::bus::diagnosis::NOT_YET;
 use fieldbeat_master::Master;
-use fieldbeat_tools::{Drive, OwnMaster, Task};
+use fieldbeat_tools::{Check, Drive, OwnMaster, Task};
 
 use super::interrupt::{Interrupt, LOOK_EVERY};
 use super::masters::Wanted;
@@ -24,10 +24,13 @@ pub struct Own<'a> {
 }
 
 impl<'a> Own<'a> {
-    /// Starts it; refused next to a master that runs.
-    pub fn start(drive: &Drive, interrupt: &'a Interrupt) -> Result<Own<'a>, Stop> {
+    /// Starts it; refused next to a master that runs, and by `check`.
+    pub fn start(drive: &Drive, check: Check<'_>, interrupt: &'a Interrupt) -> Result<Own<'a>, Stop> {
         let Drive { config, drive, pid } = drive;
-        let (plan, _) = reach::find(config, drive)?;
+        let (plan, notation) = reach::find(config, drive)?;
+        if let Some(axis) = plan.axes().into_iter().find(|axis| axis.name == *drive) {
+            check(axis, &*notation)?;
+        }
         if reach::running(Wanted { config: Some(config), pid: *pid }, drive)?.is_some() {
             let why = "a master runs, and it alone moves its drives: end it first";
             return Err(Stop::failed(format!("drive {drive}: {why}")));

@@ -9,7 +9,7 @@ use clap::error::ErrorKind;
 use clap::{ArgMatches, Command, FromArgMatches, Subcommand};
 use fieldbeat_core::axis::acyclic::{Access, Progress};
 use fieldbeat_record::file::{Place, save};
-use fieldbeat_tools::{Drive, OwnMaster, Program, Reached, Stop, Tool};
+use fieldbeat_tools::{Check, Drive, OwnMaster, Program, Reached, Stop, Tool};
 
 use super::interrupt::Interrupt;
 use super::meter::Meter;
@@ -85,8 +85,8 @@ impl Program for Host {
         Ok(Box::new(Reach::open(drive, |_| Ok(()), &self.interrupt)?))
     }
 
-    fn own(&self, drive: &Drive) -> Result<Box<dyn OwnMaster + '_>, Stop> {
-        Ok(Box::new(Own::start(drive, &self.interrupt)?))
+    fn own(&self, drive: &Drive, check: Check<'_>) -> Result<Box<dyn OwnMaster + '_>, Stop> {
+        Ok(Box::new(Own::start(drive, check, &self.interrupt)?))
     }
 
     fn print(&self, text: &dyn Display) -> Result<(), Stop> {

@@ -9,8 +9,8 @@ use std::path::{Path, PathBuf};
 
 use clap::{ArgMatches, Args, Command, FromArgMatches};
 
-use fieldbeat_core::axis::Axis;
-use fieldbeat_core::axis::acyclic::{Access, Progress};
+use fieldbeat_core::axis::acyclic::{Access, Notation, Progress};
+use fieldbeat_core::axis::{Axis, AxisPlan};
 
 /// A command, with its subcommands.
 #[derive(Clone, Copy, Debug)]
@@ -87,8 +87,9 @@ pub trait Program {
     /// The way to a drive: through the master that runs, or by one of its own that reads and moves nothing.
     fn reach(&self, drive: &Drive) -> Result<Box<dyn Reached>, Stop>;
 
-    /// A master of its own for one drive, which it may move. Refused next to a master that runs.
-    fn own(&self, drive: &Drive) -> Result<Box<dyn OwnMaster + '_>, Stop>;
+    /// A master of its own for one drive, which it may move. Refused next to a master that runs, and where `check`
+    /// finds that what is wanted of the axis cannot be: nothing was sent then.
+    fn own(&self, drive: &Drive, check: Check<'_>) -> Result<Box<dyn OwnMaster + '_>, Stop>;
 
     /// Prints to standard output.
     fn print(&self, text: &dyn Display) -> Result<(), Stop>;
@@ -108,6 +109,9 @@ pub trait Program {
     /// Writes a file whole or not at all.
     fn save(&self, path: &Path, bytes: &[u8]) -> io::Result<()>;
 }
+
+/// What is known of a wish before anything is sent: by the axis as configured, and by what its protocol is.
+pub type Check<'a> = &'a dyn Fn(&AxisPlan, &dyn Notation) -> Result<(), Stop>;
 
 /// A drive that can be reached.
 pub trait Reached {

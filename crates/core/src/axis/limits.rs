@@ -91,6 +91,12 @@ pub fn check_velocity(plan: &AxisPlan, velocity: f64) -> Result<(), Failure> {
     within("velocity", velocity.abs(), 0.0, plan.limits.velocity)
 }
 
+/// `Ok` if `acceleration` is finite and within its limit, in either direction.
+pub fn check_acceleration(plan: &AxisPlan, acceleration: f64) -> Result<(), Failure> {
+    finite(acceleration)?;
+    within("acceleration", acceleration.abs(), 0.0, plan.limits.acceleration)
+}
+
 /// `Ok` if `torque` is finite and within its limit, in either direction.
 pub fn check_torque(plan: &AxisPlan, torque: f64) -> Result<(), Failure> {
     finite(torque)?;
@@ -101,9 +107,8 @@ pub fn check_torque(plan: &AxisPlan, torque: f64) -> Result<(), Failure> {
 /// before.
 pub fn check_row(plan: &AxisPlan, row: &Row, from: Option<f64>) -> Result<(), Failure> {
     check_velocity(plan, row.velocity)?;
-    finite(row.acceleration)?;
     check_position(&plan.limits, row.position)?;
-    within("acceleration", row.acceleration.abs(), 0.0, plan.limits.acceleration)?;
+    check_acceleration(plan, row.acceleration)?;
     match (from, plan.limits.step) {
         (Some(from), Some(step)) => check_way(plan, "step", from, row.position, step),
         _ => Ok(()),

@@ -4,11 +4,12 @@ use std::time::Duration;
 
 use clap::Args;
 
-use crate::motion::{CATALOGUE, CommandInfo, Field, Mark, MotionCommand};
+use crate::motion::{CATALOGUE, CommandInfo, Field, Kind, Mark, MotionCommand};
 use crate::native::{Native, NativeInputs, NativeOutput};
 use crate::wire::StateVar;
 use fieldbeat_core::axis::command::NativeOwner;
-use fieldbeat_core::axis::{Axis, Command, EventKind};
+use fieldbeat_core::axis::limits::{check_acceleration, check_position, check_velocity};
+use fieldbeat_core::axis::{Axis, AxisPlan, Command, EventKind, Failure};
 use fieldbeat_core::time::{Time, nanos};
 use fieldbeat_tools::{Drive, Pause, Program, Stop};
 
@@ -73,10 +74,15 @@ impl MotionArguments {
     /// Does it.
     pub fn run(self, program: &dyn Program) -> Result<(), Stop> {
         let command = parse(&self.command, &self.fields).map_err(Stop::usage)?;
-        let mut own = program.own(&self.drive)?;
-        let Some(mut native) = own.axis().native::<Native>() else {
-            return Err(Stop::usage(format!("drive {} is not a LinMot drive", self.drive.drive)));
-        };
+        let name = &self.drive.drive;
+        let foreign = || Stop::usage(format!("drive {name} is not a LinMot drive"));
+        let mut own = program.own(&self.drive, &|axis, notation| {
+            if notation.protocol() != crate::PROTOCOL {
+                return Err(foreign());
+            }
+            check(axis, &command, None).map_err(|why| Stop::usage(format!("drive {name}: {why}")))
+        })?;
+        let mut native = own.axis().native::<Native>().ok_or_else(foreign)?;
         own.run(&mut |axis, pause| self.execute(axis, &mut native, command, pause))
     }
 
@@ -89,6 +95,11 @@ impl MotionArguments {
     ) -> Result<(), Stop> {
         if self.reset && axis.feedback().status.fault != 0 {
             axis.reset_fault().map_err(Stop::failed)?;
+        }
+        let found = axis.feedback().status;
+        if found.homed {
+            check(axis.plan(), &command, Some(found.position))
+                .map_err(|why| Stop::usage(format!("drive {}: {why}", axis.name())))?;
         }
         axis.enable().map_err(Stop::failed)?;
         if self.home && !axis.feedback().status.homed {
@@ -217,6 +228,51 @@ fn parse(name: &str, fields: &[String]) -> Result<MotionCommand, String> {
     info.command(&values).map_err(|(field, error)| format!("{}: {error}", field.name)).and_then(allowed)
 }
 
+/// Whether the axis may get where the command leads, as far as that is known: the loop would stop it on its way.
+/// `from`: where it stands, if that counts. What the drive alone knows (its scaled values, curves, tables, variables, a
+/// trigger) is left to the loop.
+fn check(axis: &AxisPlan, command: &MotionCommand, from: Option<f64>) -> Result<(), Failure> {
+    let Some(info) = CommandInfo::of(command.id) else { return Ok(()) };
+    let units = &axis.units;
+    // Of those the position is no target.
+    let is_target = !matches!(
+        info.name,
+        "master-homing" | "vai-change-on-positive-transition" | "vai-change-on-negative-transition"
+    );
+    for (field, wire) in info.fields.iter().zip(info.values(&command.parameters)) {
+        // All of them are counted as a position is, but for a power of ten.
+        let finer = Kind::Position.decimals() as i32 - field.kind.decimals() as i32;
+        let counts = wire as f64 * 10_f64.powi(finer);
+        match (field.kind, field.name) {
+            (Kind::Position, "position" | "target" | "start_position") if is_target => {
+                check_position(&axis.limits, counts / units.counts_per_unit + units.offset)?;
+            }
+            (Kind::Position, "distance") => check_distance(axis, units.distance(counts), from)?,
+            (Kind::Velocity | Kind::SignedVelocity, _) => check_velocity(axis, units.distance(counts))?,
+            (Kind::Acceleration | Kind::SignedAcceleration, _) if !command.is_stop() => {
+                check_acceleration(axis, units.distance(counts))?;
+            }
+            _ => {}
+        }
+    }
+    Ok(())
+}
+
+/// Whether a way so long fits into the range of the axis: from where it stands, or from any place.
+fn check_distance(axis: &AxisPlan, distance: f64, from: Option<f64>) -> Result<(), Failure> {
+    let Some((low, high)) = axis.limits.position else { return Ok(()) };
+    // The way begins where the drive wants the axis, which is as near as that.
+    let near = axis.in_position.window.unwrap_or(0.0);
+    let (low, high) = match from {
+        Some(from) => (low - from - near, high - from + near),
+        None => (low - high, high - low),
+    };
+    match (low..=high).contains(&distance) {
+        true => Ok(()),
+        false => Err(Failure::Limit { what: "distance", value: distance, low, high }),
+    }
+}
+
 /// Native mode refuses it as well; here the remedy has a name.
 fn allowed(command: MotionCommand) -> Result<MotionCommand, String> {
     match command.id == MotionCommand::reset_firmware().id {
@@ -249,6 +305,7 @@ fn raw(id: u16, pairs: &[(&str, &str)]) -> Result<MotionCommand, String> {
 mod tests {
     use super::*;
     use crate::wire::{MainState, Response};
+    use fieldbeat_core::axis::{Limits, Units};
 
     fn of(name: &str, fields: &[&str]) -> Result<MotionCommand, String> {
         parse(name, &fields.iter().map(|field| (*field).to_owned()).collect::<Vec<_>>())
@@ -261,6 +318,55 @@ mod tests {
         let words = of("0x010", &["words=0x86A0,1,0x4240,0xF,0x4240,0xF,0x4240,0xF"]).unwrap();
         assert_eq!(named, words);
         assert_eq!(of("no-operation", &[]), Ok(MotionCommand::new(0)));
+    }
+
+    #[test]
+    fn what_leads_out_of_the_limits_is_refused() {
+        let mut axis = AxisPlan::new("x", Units { offset: 100.0, ..Units::millimetres(-10_000.0) });
+        axis.limits = Limits {
+            position: Some((-50.0, 400.0)),
+            velocity: Some(1_000.0),
+            acceleration: Some(20_000.0),
+            ..Limits::default()
+        };
+        let profile = ["velocity=1000", "acceleration=20000", "deceleration=20000"];
+        let go = |field| [&[field], &profile[..]].concat();
+        let faster = ["position=0", "velocity=1001", "acceleration=1", "deceleration=1"];
+        let sharper = ["position=0", "velocity=1", "acceleration=1", "deceleration=20001"];
+        // The axis counts down from 100 where the drive counts up from 0.
+        for (name, fields, from, what) in [
+            ("vai-go-to", &go("position=-300")[..], None, None),
+            ("vai-go-to", &go("position=-300.001"), None, Some("position")),
+            ("vai-go-to", &go("position=150"), None, None),
+            ("vai-go-to", &go("position=150.001"), None, Some("position")),
+            ("vai-go-to", &faster, None, Some("velocity")),
+            ("vai-go-to", &sharper, None, Some("acceleration")),
+            ("vai-increment-demand", &go("distance=450"), None, None),
+            ("vai-increment-demand", &go("distance=451"), None, Some("distance")),
+            ("vai-increment-demand", &go("distance=-300"), Some(100.0), None),
+            ("vai-increment-demand", &go("distance=-301"), Some(100.0), Some("distance")),
+            ("curve-start-to-target", &["curve=1", "target=500"], None, Some("position")),
+            ("stream-pv", &["position=0", "velocity=-2000"], None, Some("velocity")),
+            ("0x010", &["words=0x0,0xF000"], None, Some("position")),
+            // Not known here, or no target.
+            ("0x3FF", &["words=0x0,0xF000"], None, None),
+            (
+                "vai-16bit-go-to",
+                &["position=9999", "velocity=1", "acceleration=1", "deceleration=1"],
+                None,
+                None,
+            ),
+            ("master-homing", &["position=5000"], None, None),
+            ("vai-change-on-positive-transition", &go("position=5000"), None, None),
+            ("vai-stop", &["deceleration=90000"], None, None),
+        ] {
+            let refused = check(&axis, &of(name, fields).unwrap(), from).err();
+            let refused = refused.map(|failure| match failure {
+                Failure::Limit { what, .. } => what,
+                other => panic!("{name} {fields:?}: {other}"),
+            });
+            assert_eq!(refused, what, "{name} {fields:?}");
+        }
     }
 
     #[test]
