@@ -170,13 +170,13 @@ pub mod axis {
     pub use fieldbeat_core::axis::Parameters;
     #[doc(inline)]
     pub use fieldbeat_core::axis::{
-        Abort, Acyclic, Answer, AxisError, AxisPlan, Call, CallError, CallTicket, Cannot, Command, CommandId,
-        DriveStatus, Emergency, Event, EventKind, Failure, Fault, Feedback, FollowingError, FoundRunning,
-        GroupCommand, GroupError, GroupRefused, Health, HeldBy, InPosition, Jog, Lacks, Limits, Link, Listed,
-        Load, MonitorChannel, Move, NativeOwner, NotationError, Observer, Outcome, OwnerLost, ParameterError,
-        ParameterTicket, PlanFault, PostError, Profile, Pulse, RangeError, Request, Row, Samples, Scalar,
-        Series, Shown, State, StopCause, StopHow, StopPlan, StopThen, StopTimeout, Target, Underrun, Unit,
-        Units,
+        Abort, Acyclic, Answer, AxisError, AxisPlan, BegunBy, Call, CallError, CallTicket, Cannot, Command,
+        CommandId, DriveStatus, Emergency, Event, EventKind, Failure, Fault, Feedback, FollowingError,
+        FoundRunning, GroupCommand, GroupError, GroupRefused, Health, HeldBy, InPosition, Jog, Lacks, Limits,
+        Link, Listed, Load, MonitorChannel, Move, NativeOwner, NotationError, Observer, Outcome, OwnerLost,
+        ParameterError, ParameterTicket, PlanFault, PostError, Profile, Pulse, RangeError, Request, Row,
+        Samples, Scalar, Series, Shown, State, StopCause, StopHow, StopPlan, StopThen, StopTimeout, Target,
+        Underrun, Unit, Units,
     };
 }
 

@@ -18,7 +18,7 @@ use serde_json::{Value, json};
 use super::protocol::{Exchange, LOOK_EVERY};
 use super::server::{PATIENCE_OF_STREAM, Sender};
 use super::{AskError, Conversation};
-use fieldbeat_core::axis::{EventKind, FaultNames};
+use fieldbeat_core::axis::{BegunBy, EventKind, FaultNames};
 use fieldbeat_core::cycle::record::{CommandRecord, CommandStep, Record};
 use fieldbeat_core::rt::MonotonicClock;
 use fieldbeat_core::rt::thread::helper_thread;
@@ -266,7 +266,11 @@ impl Stream<'_> {
                 let (axis, kind) = (usize::from(event.axis), event.kind()?);
                 let name = kind.fault().and_then(|code| self.names.get(axis).and_then(|names| names(code)));
                 let fault = matches!(kind, EventKind::Fault(1..) | EventKind::Stopped(_));
-                Some(Happened { cycle: event.index, axis, text: kind.described(name), fault })
+                let begun_by = event.begun_by();
+                let axes = self.monitor.plan().axes();
+                let of = begun_by.and_then(|by| axes.get(usize::from(by.axis)));
+                let text = BegunBy::after(kind.described(name), begun_by, of.map(|axis| axis.name.as_str()));
+                Some(Happened { cycle: event.index, axis, text, fault })
             }
             _ => None,
         });

@@ -1,6 +1,7 @@
 //! The loop of a plan with its buses, and the application's handles.
 
 use std::any::Any;
+use std::sync::Arc;
 use std::time::Duration;
 
 use super::MasterError;
@@ -92,6 +93,7 @@ pub fn assemble<C: Clock>(
     let (status_in, status) = cell::cell(Status::default());
     let mut gauges = Gauges { status, axes: Vec::new(), buses: Vec::new() };
     let machine = plan.axes();
+    let names: Arc<[String]> = machine.iter().map(|axis| axis.name.clone()).collect();
     let log = carriers.log();
     let bells = Bells::new(machine.len()).logged(&log);
     let gate = Gate::new(wires.clone(), log.clone());
@@ -168,7 +170,7 @@ pub fn assemble<C: Clock>(
             entries.push(AxisEntry { controller, outlet: AxisOutlet { info, numbers: numbers_in } });
             axes.push(Axis::new(
                 axis.clone(),
-                axes.len(),
+                (axes.len(), names.clone()),
                 pulse.clone(),
                 acyclic.clone(),
                 AxisEnds {

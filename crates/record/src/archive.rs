@@ -277,7 +277,7 @@ impl Archive {
                     unit: units.unit.to_string(),
                     link: drive.link.clone(),
                     state: drive.state.clone(),
-                    stopped: drive.stopped.clone(),
+                    stopped: drive.stopped_by().or_else(|| drive.stopped.clone()),
                     fault: drive.fault.map(|code| Fault { code, name: drive.fault_name }.to_string()),
                     fault_names: fault_names(motion, names),
                     losses: drive.losses,

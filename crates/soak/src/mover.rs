@@ -3,11 +3,11 @@
 //! it is: nothing here restarts a motion that the master ended for a reason. The others go on. Only what the pause of a
 //! test that goes on has caused is reset: a drive whose master was killed trips by its watchdog.
 
-use super::pattern::{Shuttle, Turning, done, end_of, feed, to};
+use super::pattern::{Shuttle, Turning, end_of, feed, to};
 use super::wave::Wave;
 use fieldbeat_config::soak::{Pattern, Swing};
 use fieldbeat_core::axis::{
-    Axis, AxisError, Command, CommandId, HeldBy, Link, Load, SilenceFaults, StopCause,
+    Axis, AxisError, BegunBy, Command, CommandId, HeldBy, Link, Load, SilenceFaults, StopCause,
 };
 use fieldbeat_core::time::S;
 
@@ -212,7 +212,9 @@ impl Mover {
         // A latch of before, such as that of a drive that was found running, does not show the stop of the group.
         let why = if let Some(stopped) = stopped {
             // The cause of the latch says more than the command that it ended. Nothing is commanded any more.
-            format!("{STOPPED}{stopped}")
+            let begun_by = self.axis.feedback().begun_by;
+            let name = begun_by.and_then(|by| self.axis.name_of(by.axis));
+            BegunBy::after(format!("{STOPPED}{stopped}"), begun_by, name)
         } else if self.waits() && group.stopped && !self.ending {
             "its stop group is stopped".to_owned()
         } else {
@@ -287,8 +289,8 @@ impl Mover {
                 }
             }
             Phase::Running(id, what, next) => {
-                let Some(outcome) = end_of(axis, *id) else { return Ok(()) };
-                done(axis, what, outcome)?;
+                let Some(end) = end_of(axis, *id) else { return Ok(()) };
+                axis.verdict(what, &end)?;
                 let next = *next;
                 self.begin(next, now)?;
             }
@@ -301,8 +303,8 @@ impl Mover {
                 self.cycles = turning.begun(now);
             }
             Phase::Swinging(wave, id, begun) => {
-                if let Some(outcome) = end_of(axis, *id) {
-                    return done(axis, "stream", outcome);
+                if let Some(end) = end_of(axis, *id) {
+                    return axis.verdict("stream", &end);
                 }
                 feed(axis, wave)?;
                 if let Pattern::Sine(swing) = &self.pattern {

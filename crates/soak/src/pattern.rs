@@ -3,26 +3,17 @@
 
 use super::wave::Wave;
 use fieldbeat_config::soak::RENEW_EVERY_NS;
-use fieldbeat_core::axis::{Axis, AxisError, Command, CommandId, EventKind, Move, Outcome, Profile, Target};
+use fieldbeat_core::axis::{Axis, AxisError, Command, CommandId, Event, EventKind, Move, Profile, Target};
 
-/// How command `id` of an axis ended, if it has; all other events are dropped.
-pub fn end_of(axis: &mut Axis, id: CommandId) -> Option<Outcome> {
+/// The end of command `id` of an axis, if it has come; all other events are dropped.
+pub fn end_of(axis: &mut Axis, id: CommandId) -> Option<Event> {
     let mut end = None;
     while let Some(event) = axis.event() {
-        match event.kind {
-            EventKind::Ended { id: of, outcome, .. } if of == id => end = Some(outcome),
-            _ => {}
+        if matches!(event.kind, EventKind::Ended { id: of, .. } if of == id) {
+            end = Some(event);
         }
     }
     end
-}
-
-/// `Ok` if a command was carried out.
-pub fn done(axis: &Axis, command: &'static str, outcome: Outcome) -> Result<(), AxisError> {
-    match outcome {
-        Outcome::Done => Ok(()),
-        outcome => Err(AxisError::Ended { axis: axis.name().to_owned(), command, outcome, fault: None }),
-    }
 }
 
 /// A move to a position.
@@ -54,8 +45,8 @@ impl Shuttle {
     /// The next move, if the last one has ended and the pause is over. `now` is any clock that goes on.
     pub fn go_on(&mut self, axis: &mut Axis, now: u64) -> Result<(), AxisError> {
         if let Some(id) = self.under_way {
-            let Some(outcome) = end_of(axis, id) else { return Ok(()) };
-            done(axis, "moves", outcome)?;
+            let Some(end) = end_of(axis, id) else { return Ok(()) };
+            axis.verdict("moves", &end)?;
             (self.under_way, self.until) = (None, now + self.pause_ns);
             self.moves += 1;
         }
@@ -95,8 +86,8 @@ impl Turning {
             self.jog = Some((axis.jog(velocity(0))?, now));
             return Ok(());
         };
-        if let Some(outcome) = end_of(axis, id) {
-            return done(axis, "jog", outcome);
+        if let Some(end) = end_of(axis, id) {
+            return axis.verdict("jog", &end);
         }
         if now - self.renewed >= RENEW_EVERY_NS {
             self.renewed = now;

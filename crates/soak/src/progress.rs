@@ -67,7 +67,8 @@ impl AxisProgress {
         // A drive that comes online after the stop may be found enabled.
         let is_last =
             marks.iter().filter(|mark| mark.what == stopped(StopCause::Group)).count() as u64 == by_group;
-        let counts = is_last && given_up == Some(&format!("{STOPPED}{}", StopCause::Group));
+        let of_group = format!("{STOPPED}{}", StopCause::Group);
+        let counts = is_last && given_up.is_some_and(|why| why.starts_with(&of_group));
         self.stops_of_pauses += by_group.saturating_sub(u64::from(counts));
         let mut before = before.into_iter();
         let Some(is_of_pause) = is_of_pause else { return };
@@ -163,7 +164,7 @@ mod tests {
         let stopped = Some(StopCause::DriveFault);
         let enabled = (OperationEnabled, 0, None);
         let group = (SwitchOnDisabled, 0, Some(StopCause::Group));
-        let by_group = Some("stopped: stop group");
+        let by_group = Some("stopped: stop group, begun by y: link lost");
         for (course, given_up, faults, stops) in [
             (&[(Fault, 30, stopped), (SwitchOnDisabled, 0, None), enabled][..], None, 1, 1),
             (&[(Fault, 30, None), (SwitchOnDisabled, 0, None), enabled], None, 1, 0),

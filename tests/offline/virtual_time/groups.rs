@@ -4,8 +4,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use fieldbeat::Master;
 use fieldbeat::axis::{
-    Abort, Command, CommandId, EventKind, Failure, Group, GroupError, Health, Outcome, Row, StopCause,
-    Underrun,
+    Abort, BegunBy, Command, CommandId, EventKind, Failure, Group, GroupError, Health, Outcome, Row,
+    StopCause, Underrun,
 };
 use fieldbeat::bus::linudp::{ControlWord, MotionBlock};
 use fieldbeat::sim::WorldOptions;
@@ -312,6 +312,14 @@ fn a_row_that_one_member_may_not_take_is_sent_to_none() {
     let outcomes = b.group_ended(&command);
     assert!(matches!(outcomes[1], Outcome::Failed(Failure::Limit { .. })), "{outcomes:?}");
     assert_eq!(outcomes[0], Outcome::Aborted(Abort::Stopped(StopCause::Group)));
+    // The stop and the end of the command name who began it, and nothing else does.
+    let by = Some(BegunBy { axis: 1, cause: StopCause::Limit });
+    let named: Vec<_> = b.events.iter().filter(|(_, event)| event.begun_by == by).collect();
+    let named: Vec<_> = named.into_iter().map(|(axis, event)| (*axis, event.kind)).collect();
+    let ended = EventKind::Ended { id: command.ids()[0], command: "follow", outcome: outcomes[0] };
+    assert_eq!(named, [(0, EventKind::Stopped(StopCause::Group)), (0, ended)]);
+    assert_eq!(b.events.iter().filter(|(_, event)| event.begun_by.is_some()).count(), 2);
+    assert_eq!([0, 1].map(|index| b.feedback(index).begun_by), [by, None]);
     b.run(20);
     assert!(rows(&b, 0, from[0]).is_empty() && rows(&b, 1, from[1]).is_empty());
     assert_eq!(b.feedback(1).stopped, Some(StopCause::Limit));

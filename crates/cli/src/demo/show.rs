@@ -192,7 +192,7 @@ impl Show {
             for ((axis, id), ended) in streamers.iter_mut().zip(&ids).zip(&mut ended) {
                 while let Some(event) = axis.event() {
                     match event.kind {
-                        EventKind::Ended { id: of, outcome, .. } if of == *id => *ended = Some(outcome),
+                        EventKind::Ended { id: of, .. } if of == *id => *ended = Some(event),
                         _ => {}
                     }
                 }
@@ -208,13 +208,8 @@ impl Show {
             std::thread::sleep(Duration::from_millis(5));
         }
         for (index, ended) in ended.into_iter().enumerate() {
-            let axis = self.axes[index].name();
             match ended {
-                Some(Outcome::Done) => {}
-                Some(outcome) => {
-                    let (axis, command, fault) = (axis.to_owned(), "wave", None);
-                    return Err(AxisError::Ended { axis, command, outcome, fault }.into());
-                }
+                Some(event) => self.axes[index].verdict("wave", &event)?,
                 None => self.wait_all("wave", &(index..index + 1), &ids[index..=index])?,
             }
         }

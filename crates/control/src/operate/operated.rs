@@ -4,8 +4,8 @@ use super::request::{AxisFacts, AxisLacks, AxisState, CommandEnd, Ended, Goal, O
 use fieldbeat_core::axis::command::Jog;
 use fieldbeat_core::axis::limits::check_command;
 use fieldbeat_core::axis::{
-    Abort, Axis, AxisError, Command, CommandId, EventKind, Link, MonitorChannel, Move, Outcome, Profile,
-    StopThen, Target,
+    Abort, Axis, AxisError, BegunBy, Command, CommandId, EventKind, Link, MonitorChannel, Move, Outcome,
+    Profile, StopThen, Target,
 };
 
 /// An axis and what is under way.
@@ -148,7 +148,7 @@ impl Operated {
         let event = self.axis.event()?;
         let name = event.kind.fault().and_then(|code| self.axis.fault(code).name);
         let EventKind::Ended { id, command, outcome } = event.kind else {
-            return Some((event.kind.described(name), None));
+            return Some((self.with_begin(event.kind.described(name), event.begun_by), None));
         };
         self.open.retain(|(open, _)| *open != id);
         if self.stopping == Some(id) {
@@ -167,9 +167,13 @@ impl Operated {
         };
         let text = match by_stop {
             true => format!("{command} ended by a stop"),
-            false => format!("{command} {}", outcome.described(name)),
+            false => self.with_begin(format!("{command} {}", outcome.described(name)), event.begun_by),
         };
         Some((text, Some(CommandEnd { command: id.0, how })))
+    }
+
+    fn with_begin(&self, text: String, begun_by: Option<BegunBy>) -> String {
+        BegunBy::after(text, begun_by, begun_by.and_then(|by| self.axis.name_of(by.axis)))
     }
 
     /// How it is.
@@ -187,7 +191,7 @@ impl Operated {
             state: status.state.to_string(),
             powered: status.state.is_powered(),
             operational: feedback.is_operational(),
-            stopped: feedback.stopped.map(|cause| cause.to_string()),
+            stopped: (feedback.stopped).map(|cause| self.with_begin(cause.to_string(), feedback.begun_by)),
             fault: (status.fault != 0).then(|| self.axis.fault(status.fault).to_string()),
             warning: status.warning,
             inhibited: status.inhibited,

@@ -2,8 +2,8 @@
 
 use std::fmt;
 
-use super::command::{CommandId, Outcome};
-use super::feedback::{Fault, Link, State, StopCause};
+use super::command::{Abort, CommandId, Outcome};
+use super::feedback::{BegunBy, Fault, Link, State, StopCause};
 use crate::time::Time;
 
 /// One event of one axis. It comes a moment before the feedback of its cycle: the rest of the cycle lies between the
@@ -17,6 +17,8 @@ pub struct Event {
     pub at: Time,
     /// What.
     pub kind: EventKind,
+    /// Which axis began the stop, and why, if this is one of [`StopCause::Group`], or a command that ended by it.
+    pub begun_by: Option<BegunBy>,
 }
 
 /// A drive's own report of an error, or of the error's end: an emergency (CiA 301).
@@ -86,7 +88,7 @@ pub enum EventKind {
 
 impl fmt::Display for Event {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "cycle {}: {}", self.cycle, self.kind)
+        f.write_str(&BegunBy::after(format!("cycle {}: {}", self.cycle, self.kind), self.begun_by, None))
     }
 }
 
@@ -100,6 +102,15 @@ impl EventKind {
             EventKind::Emergency(emergency) => Some(emergency.code.into()),
             _ => None,
         }
+    }
+
+    /// It is a stop with the stop group, or a command that ended by that.
+    pub(crate) fn is_of_stop_group(&self) -> bool {
+        matches!(
+            self,
+            EventKind::Stopped(StopCause::Group)
+                | EventKind::Ended { outcome: Outcome::Aborted(Abort::Stopped(StopCause::Group)), .. }
+        )
     }
 
     /// As an entry of a recording: its kind, its text, its number. `name_of` names a code of the drive.

@@ -121,6 +121,51 @@ named! {
     }
 }
 
+impl StopCause {
+    /// That of a number, as in records; 0 is none.
+    #[doc(hidden)]
+    pub fn of(number: usize) -> Option<StopCause> {
+        StopCause::ALL.get(number.checked_sub(1)?).copied()
+    }
+}
+
+/// The axis that began the stop of a stop group, and why that axis was stopped.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct BegunBy {
+    /// Its index in the machine, in the order of the plan.
+    pub axis: u16,
+    /// Why it was stopped.
+    pub cause: StopCause,
+}
+
+impl BegunBy {
+    /// Above the lowest 40 bits of a word.
+    fn bits(self) -> u64 {
+        u64::from(self.axis) << 48 | (self.cause as u64) << 40
+    }
+
+    fn of_bits(word: u64) -> Option<BegunBy> {
+        let cause = StopCause::of(usize::from((word >> 40) as u8))?;
+        Some(BegunBy { axis: (word >> 48) as u16, cause })
+    }
+
+    /// `text` of a stop, with who began it; `name` of that axis, if it is known.
+    #[doc(hidden)]
+    pub fn after(text: String, begun_by: Option<BegunBy>, name: Option<&str>) -> String {
+        match (begun_by, name) {
+            (None, _) => text,
+            (Some(BegunBy { cause, .. }), Some(name)) => format!("{text}, begun by {name}: {cause}"),
+            (Some(begun_by), None) => format!("{text}, {begun_by}"),
+        }
+    }
+}
+
+impl fmt::Display for BegunBy {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "begun by axis {}: {}", self.axis, self.cause)
+    }
+}
+
 /// The protocol's names for the fault codes of its drives; `None` = not known.
 pub type FaultNames = fn(u32) -> Option<&'static str>;
 
@@ -208,6 +253,8 @@ pub struct Feedback {
     pub link: Link,
     /// The latch: why the master stopped this axis.
     pub stopped: Option<StopCause>,
+    /// Which axis began that stop, and why, if this one was stopped with its stop group.
+    pub begun_by: Option<BegunBy>,
     /// What the drive reported last.
     pub status: DriveStatus,
 }
@@ -268,14 +315,18 @@ impl Feedback {
 
 impl Feedback {
     /// Publishes it. The values of monitored variables count only where their bits say so, and most drives have none;
-    /// those that are not new stand there still.
+    /// those that are not new stand there still. Hardly ever has another axis begun its stop.
     #[inline]
     #[doc(hidden)]
     pub fn write_to(&self, cell: &mut Writer<Feedback>, shows: bool) {
         if shows {
             return self.write_all_to(cell);
         }
-        cell.write_words(self.first_words(Shown::mask(&self.status.monitor)).into_iter());
+        let mut words = self.first_words(Shown::mask(&self.status.monitor));
+        if let Some(by) = self.begun_by {
+            words[8] |= by.bits();
+        }
+        cell.write_words(words.into_iter());
     }
 
     #[inline(never)]
@@ -283,7 +334,8 @@ impl Feedback {
         cell.write(self);
     }
 
-    /// Its words but for the monitored values; `shown` has a bit for each of these that there is.
+    /// Its words but for the monitored values and who began its stop; `shown` has a bit for each of these that there
+    /// is.
     #[inline]
     fn first_words(&self, shown: u8) -> [u64; 9] {
         let status = &self.status;
@@ -319,6 +371,7 @@ impl Packed for Feedback {
         let (shown, values) = Shown::from(self.status.monitor).to_words();
         let mut words = [0; 13];
         words[..9].copy_from_slice(&self.first_words(shown));
+        words[8] |= self.begun_by.map_or(0, BegunBy::bits);
         words[9..].copy_from_slice(&values);
         words
     }
@@ -347,7 +400,8 @@ impl Packed for Feedback {
             cycle: words[0],
             age: (flags >> 32) as u32,
             link: Link::ALL.get(byte(8)).copied().unwrap_or_default(),
-            stopped: byte(24).checked_sub(1).and_then(|index| StopCause::ALL.get(index).copied()),
+            stopped: StopCause::of(byte(24)),
+            begun_by: BegunBy::of_bits(words[8]),
             rtt_ns: (flags & 16 != 0).then_some(words[8] as u32),
             status,
         }
@@ -367,10 +421,11 @@ mod tests {
 
     #[test]
     fn packs_and_unpacks_to_itself() {
-        for (link, state, stopped) in [
-            (Link::Online, State::OperationEnabled, None),
-            (Link::Lost, State::Fault, Some(StopCause::Shutdown)),
-            (Link::Unseen, State::Unknown, Some(StopCause::GroupFailed)),
+        let begun_by = Some(BegunBy { axis: u16::MAX, cause: StopCause::PositionJump });
+        for (link, state, stopped, begun_by) in [
+            (Link::Online, State::OperationEnabled, None, None),
+            (Link::Lost, State::Fault, Some(StopCause::Shutdown), None),
+            (Link::Unseen, State::Unknown, Some(StopCause::Group), begun_by),
         ] {
             let status = DriveStatus {
                 at: Time(12),
@@ -389,7 +444,7 @@ mod tests {
                 monitor: [None, Some(-0.5), None, Some(1e9)],
             };
             let rtt_ns = Some(4_000_000_000);
-            let feedback = Feedback { cycle: u64::MAX, age: 77, link, stopped, rtt_ns, status };
+            let feedback = Feedback { cycle: u64::MAX, age: 77, link, stopped, begun_by, rtt_ns, status };
             assert_eq!(Feedback::unpack(&feedback.pack()), feedback);
             // What a drive does not tell comes out as it went in.
             let none = f64::NAN;

@@ -5,6 +5,7 @@
 
 use std::any::Any;
 use std::collections::VecDeque;
+use std::sync::Arc;
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
@@ -18,7 +19,7 @@ use super::command::{
 };
 use super::doorbell::Bell;
 use super::event::{Event, EventKind};
-use super::feedback::{Fault, FaultNames, Feedback, Link, StopCause};
+use super::feedback::{BegunBy, Fault, FaultNames, Feedback, Link, StopCause};
 use super::limits::{Lacks, check_command, check_row, check_torque, check_velocity};
 use super::newest::NewestIn;
 use super::observer::{GRACE, LOOK_EVERY, Observer};
@@ -75,6 +76,8 @@ pub struct Axis {
     plan: AxisPlan,
     /// Its index in the machine.
     index: usize,
+    /// The names of all axes of the machine.
+    names: Arc<[String]>,
     pulse: Pulse,
     acyclic: Acyclic,
     pub(super) ends: AxisEnds,
@@ -147,7 +150,7 @@ pub enum AxisError {
         capacity: usize,
     },
     /// It ended in another way than Done.
-    #[error("axis {axis}: {command} {}", outcome.described(*fault))]
+    #[error("axis {axis}: {command} {}", text_of(*outcome, *fault, begun_by.as_ref()))]
     Ended {
         /// The axis.
         axis: String,
@@ -157,6 +160,9 @@ pub enum AxisError {
         outcome: Outcome,
         /// The protocol's name for the fault of the drive, if that is the reason.
         fault: Option<&'static str>,
+        /// The axis that began the stop which aborted it, by name, and why that was stopped, if it was stopped with its
+        /// stop group.
+        begun_by: Option<(String, StopCause)>,
     },
     /// It did not end in the given time. It continues: stop it, or wait longer.
     #[error("axis {axis}: {command} has not ended after {waited:?} (state {state}): stop it, or wait longer")]
@@ -185,6 +191,14 @@ pub enum AxisError {
 }
 crate::debug_as_display!(AxisError);
 
+fn text_of(outcome: Outcome, fault: Option<&str>, begun_by: Option<&(String, StopCause)>) -> String {
+    let text = outcome.described(fault);
+    match begun_by {
+        Some((axis, cause)) => format!("{text}, begun by {axis}: {cause}"),
+        None => text,
+    }
+}
+
 /// What a loop that is stuck means.
 pub const STUCK: &str = "the loop is stuck: its cycle has not ended within watch_after, and the wires were \
                                 taken from it";
@@ -204,12 +218,19 @@ impl AxisError {
 }
 
 impl Axis {
-    /// Axis `index` of the machine with this pulse, over its ends of the queues.
+    /// Axis `index` of the machine with these names of its axes and this pulse, over its ends of the queues.
     #[doc(hidden)]
-    pub fn new(plan: AxisPlan, index: usize, pulse: Pulse, acyclic: Acyclic, ends: AxisEnds) -> Axis {
+    pub fn new(
+        plan: AxisPlan,
+        (index, names): (usize, Arc<[String]>),
+        pulse: Pulse,
+        acyclic: Acyclic,
+        ends: AxisEnds,
+    ) -> Axis {
         Axis {
             plan,
             index,
+            names,
             acyclic: acyclic.of_application(&pulse),
             pulse,
             ends,
@@ -275,6 +296,11 @@ impl Axis {
     /// with its name.
     pub fn fault(&self, code: u32) -> Fault<'static> {
         Fault::new(code, self.ends.faults)
+    }
+
+    /// The name of an axis of its machine, by its index there: [`BegunBy::axis`].
+    pub fn name_of(&self, index: u16) -> Option<&str> {
+        self.names.get(usize::from(index)).map(String::as_str)
     }
 
     /// The protocol's own process data, unscaled and complete, by the protocol's own type; can be taken once.
@@ -563,24 +589,21 @@ impl Axis {
     pub fn wait(&mut self, id: CommandId, command: &'static str, limit: Duration) -> Result<(), AxisError> {
         let begun = Instant::now();
         // Its end may have come during the wait for another command.
-        if let Some(place) = self.kept.iter().position(|event| ended(event, id).is_some())
+        if let Some(place) = self.kept.iter().position(|event| is_end_of(event, id))
             && let Some(event) = self.kept.remove(place)
-            && let Some(outcome) = ended(&event, id)
         {
             self.kept_ends -= 1;
             self.await_feedback(event.cycle, begun, limit);
-            return self.verdict(command, outcome);
+            return self.verdict(command, &event);
         }
         loop {
             let gone = self.ends.events.is_abandoned();
             while let Some(event) = self.take_event() {
-                match ended(&event, id) {
-                    Some(outcome) => {
-                        self.await_feedback(event.cycle, begun, limit);
-                        return self.verdict(command, outcome);
-                    }
-                    None => self.keep(event),
+                if is_end_of(&event, id) {
+                    self.await_feedback(event.cycle, begun, limit);
+                    return self.verdict(command, &event);
                 }
+                self.keep(event);
             }
             if gone {
                 return Err(self.gone());
@@ -605,14 +628,21 @@ impl Axis {
         }
     }
 
-    fn verdict(&self, command: &'static str, outcome: Outcome) -> Result<(), AxisError> {
-        match outcome {
-            Outcome::Done => Ok(()),
-            outcome => {
-                let fault = outcome.fault().and_then(self.ends.faults);
-                Err(AxisError::Ended { axis: self.plan.name.clone(), command, outcome, fault })
-            }
+    /// What `event` says of `command`, of which it is the end.
+    #[doc(hidden)]
+    pub fn verdict(&self, command: &'static str, event: &Event) -> Result<(), AxisError> {
+        let EventKind::Ended { outcome, .. } = event.kind else { return Ok(()) };
+        if outcome == Outcome::Done {
+            return Ok(());
         }
+        let name = |by: BegunBy| self.name_of(by.axis).map_or_else(|| by.axis.to_string(), str::to_owned);
+        Err(AxisError::Ended {
+            axis: self.plan.name.clone(),
+            command,
+            outcome,
+            fault: outcome.fault().and_then(self.ends.faults),
+            begun_by: event.begun_by.map(|by| (name(by), by.cause)),
+        })
     }
 
     fn take_event(&mut self) -> Option<Event> {
@@ -691,12 +721,9 @@ fn is_of_task(event: &Event) -> bool {
     matches!(event.kind, EventKind::Ended { id, .. } if id.is_of_task())
 }
 
-/// How command `id` ended, if `event` says so.
-fn ended(event: &Event, id: CommandId) -> Option<Outcome> {
-    match event.kind {
-        EventKind::Ended { id: ended, outcome, .. } if ended == id => Some(outcome),
-        _ => None,
-    }
+/// It is the end of command `id`.
+fn is_end_of(event: &Event, id: CommandId) -> bool {
+    matches!(event.kind, EventKind::Ended { id: ended, .. } if ended == id)
 }
 
 /// Twice the time that a move should take, for the wait only.

@@ -46,7 +46,7 @@ pub use command::{
 };
 pub use command::{GroupCall, QueuedCommand, Setpoint, StreamRow};
 pub use event::{Emergency, Event, EventKind};
-pub use feedback::{DriveStatus, Fault, Feedback, Link, Shown, State, StopCause};
+pub use feedback::{BegunBy, DriveStatus, Fault, Feedback, Link, Shown, State, StopCause};
 pub use feedback::{FaultNames, MONITOR_CHANNELS, SilenceFaults};
 pub use group::{Group, GroupCommand, GroupError, GroupRefused};
 pub use handle::AxisEnds;

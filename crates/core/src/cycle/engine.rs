@@ -376,7 +376,7 @@ impl<C: Clock> Engine<C> {
         }
         let cycle = self.cycle_at(self.grid.index(), self.grid.at());
         if self.was_suspended() {
-            self.stop_axes(&cycle, now, StopCause::Suspended, |_| true);
+            self.stop_axes(|_| true, |axis| axis.stop(&cycle, now, StopCause::Suspended));
             // The requests were built before.
             self.arm(&cycle, now);
         }
@@ -525,7 +525,7 @@ impl<C: Clock> Engine<C> {
             Overrun::Skip { max_skip } => self.skipped_in_a_row > max_skip || too_many,
         };
         if stop {
-            self.stop_axes(&cycle, now, StopCause::Overrun, |_| true);
+            self.stop_axes(|_| true, |axis| axis.stop(&cycle, now, StopCause::Overrun));
         }
         // The requests were built for another slot: other drives may be due, and a stop may have come.
         self.arm(&cycle, now);

@@ -41,7 +41,7 @@ use crate::axis::cell::Writer;
 use crate::axis::newest::NewestOut;
 use crate::axis::{
     Abort, AxisPlan, Command, CommandId, Event, EventKind, Feedback, GroupCall, MONITOR_CHANNELS, Outcome,
-    QueuedCommand, Row, Setpoint, Shown, StreamRow,
+    QueuedCommand, Row, Setpoint, Shown, StopCause, StreamRow,
 };
 use crate::bus::desired::Capabilities;
 use crate::bus::{Cycle, Slot};
@@ -174,8 +174,8 @@ pub enum Along {
     Nobody,
     /// It has left what its group does: its stop group, it included, if another member still does that.
     WhoGoesOn,
-    /// It was stopped: its stop group.
-    All,
+    /// It was stopped, for this reason: its stop group.
+    All(StopCause),
 }
 
 /// Whether the application still has the axis.
@@ -448,12 +448,13 @@ impl DriveController {
 
     #[inline(never)]
     fn emit(&mut self, cycle: &Cycle, now: Time, kind: EventKind) {
-        self.queues.journal.event(cycle.index, kind);
+        let begun_by = self.feedback.begun_by.filter(|_| kind.is_of_stop_group());
+        self.queues.journal.event(cycle.index, kind, begun_by);
         self.measured.noted = true;
         // Every accepted command ends exactly once: the place for that is kept from all else.
         let kept = if matches!(kind, EventKind::Ended { .. }) { 0 } else { self.queues.room_for_ends };
         let room = self.queues.events.slots() > kept;
-        if !room || self.queues.events.push(Event { cycle: cycle.index, at: now, kind }).is_err() {
+        if !room || self.queues.events.push(Event { cycle: cycle.index, at: now, kind, begun_by }).is_err() {
             self.queues.lost += 1;
         }
     }

@@ -4,7 +4,7 @@
 //! The parts of all members are one entry in the queue of the first, so that the loop never sees some of them only.
 
 use super::controller::{Along, Closed, DriveController};
-use crate::axis::{Setpoint, StopCause};
+use crate::axis::{BegunBy, Setpoint, StopCause};
 use crate::bus::Cycle;
 use crate::time::Time;
 
@@ -131,29 +131,33 @@ impl GroupSync {
     }
 }
 
-/// The next stop group that stops because of one of its axes. An axis that has left what its group still does is
-/// stopped for that.
-pub fn take_group_stop(cycle: &Cycle, now: Time, controllers: &mut [DriveController]) -> Option<u16> {
-    for index in 0..controllers.len() {
-        if !controllers[index].takes_along() {
-            continue;
-        }
+/// The next stop group that stops because of one of its axes, and that axis. An axis that has left what its group still
+/// does is stopped for that.
+pub fn take_group_stop(
+    cycle: &Cycle,
+    now: Time,
+    controllers: &mut [DriveController],
+) -> Option<(u16, BegunBy)> {
+    let mut next = 0;
+    while let Some(ahead) = controllers[next..].iter().position(DriveController::takes_along) {
+        let index = next + ahead;
+        next = index + 1;
         let along = controllers[index].take_along();
         let (left, group) = (controllers[index].left_call(), controllers[index].plan().stop.group);
-        let stops = match along {
-            Along::Nobody => false,
-            Along::All => true,
+        let cause = match along {
+            Along::Nobody => None,
+            Along::All(cause) => Some(cause),
             Along::WhoGoesOn => {
                 let goes_on = left.is_some() && controllers.iter().any(|axis| axis.acts_in_group() == left);
                 if goes_on {
                     controllers[index].stop(cycle, now, StopCause::GroupFailed);
                     controllers[index].take_along();
                 }
-                goes_on
+                goes_on.then_some(StopCause::GroupFailed)
             }
         };
-        if stops && group.is_some() {
-            return group;
+        if let (Some(cause), Some(group)) = (cause, group) {
+            return Some((group, BegunBy { axis: index as u16, cause }));
         }
     }
     None
@@ -286,9 +290,9 @@ mod tests {
                 controller.exchange(&cycle, cycle.grid, slot);
             }
             self.groups.open(&cycle, cycle.grid, &mut self.controllers);
-            while take_group_stop(&cycle, cycle.grid, &mut self.controllers).is_some() {
+            while let Some((_, by)) = take_group_stop(&cycle, cycle.grid, &mut self.controllers) {
                 for axis in &mut self.controllers {
-                    axis.stop(&cycle, cycle.grid, StopCause::Group);
+                    axis.stop_along(&cycle, cycle.grid, by);
                     axis.take_along();
                 }
             }

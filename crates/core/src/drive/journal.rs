@@ -4,7 +4,7 @@
 use std::collections::VecDeque;
 
 use super::record::{CommandRecord, CommandStep, EventRecord};
-use crate::axis::{EventKind, QueuedCommand};
+use crate::axis::{BegunBy, EventKind, QueuedCommand};
 use crate::rt::{self, Regions};
 
 /// Room for events that are no ends of commands.
@@ -41,8 +41,8 @@ impl Journal {
     }
 
     /// An event in slot `index`.
-    pub(super) fn event(&mut self, index: u64, kind: EventKind) {
-        self.note(Note::Event(EventRecord::new(index, 0, kind)));
+    pub(super) fn event(&mut self, index: u64, kind: EventKind, begun_by: Option<BegunBy>) {
+        self.note(Note::Event(EventRecord::new(index, 0, kind, begun_by)));
     }
 
     fn note(&mut self, note: Note) {
@@ -80,10 +80,10 @@ mod tests {
         let room = journal.notes.capacity();
         assert!(room >= NOTES_A_COMMAND + EVENTS);
         for _ in 0..room + 2 {
-            journal.event(7, EventKind::Restarted);
+            journal.event(7, EventKind::Restarted, None);
         }
         assert_eq!((journal.notes.capacity(), journal.take_lost(), journal.take_lost()), (room, 2, 0));
         let first = journal.take(5, 8);
-        assert_eq!(first, Some(Note::Event(EventRecord::new(7, 5, EventKind::Restarted))));
+        assert_eq!(first, Some(Note::Event(EventRecord::new(7, 5, EventKind::Restarted, None))));
     }
 }

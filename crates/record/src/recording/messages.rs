@@ -5,7 +5,7 @@ use std::borrow::Cow;
 
 use super::schema::{Get, Names, Table, identifier};
 use fieldbeat_core::axis::{
-    Command, EventKind, Jog, Link, MONITOR_CHANNELS, Move, Outcome, State, StopCause, Target,
+    BegunBy, Command, EventKind, Jog, Link, MONITOR_CHANNELS, Move, Outcome, State, StopCause, Target,
 };
 use fieldbeat_core::bus::native::NativeLayout;
 use fieldbeat_core::cycle::record::{
@@ -212,14 +212,16 @@ pub struct EventText {
 }
 
 impl EventText {
-    /// Of axis `axis`; `name_of` names a code of its drive.
+    /// Of axis `axis`, with the axis that began the stop and its name; `name_of` names a code of its drive.
     pub fn new(
         axis: u16,
         axis_name: &str,
         kind: &EventKind,
+        begun_by: (Option<BegunBy>, Option<&str>),
         name_of: impl Fn(u32) -> Option<String>,
     ) -> EventText {
         let (name, text, code) = kind.entry(name_of);
+        let text = BegunBy::after(text, begun_by.0, begun_by.1);
         let (id, command, outcome) = match *kind {
             EventKind::Ended { id, command, outcome } => {
                 let outcome = match outcome {

@@ -89,7 +89,7 @@ fn records(cycles: u64) -> Vec<Record> {
                 records.push(Record::Monitor(MonitorRecord { index, axis: 1, shown }));
             }
             2 => records.extend([step(index, CommandStep::Taken), step(index, CommandStep::Begun)]),
-            4 => records.push(Record::Event(EventRecord::new(index, 0, ended))),
+            4 => records.push(Record::Event(EventRecord::new(index, 0, ended, None))),
             _ => {}
         }
         records.push(cycle(index));

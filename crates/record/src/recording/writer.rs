@@ -322,7 +322,10 @@ impl<W: Write> Writer<W> {
 
     fn event(&self, event: &EventRecord) -> Option<EventText> {
         let axis = self.machine.axes.get(usize::from(event.axis))?;
-        Some(EventText::new(event.axis, &axis.name, &event.kind()?, |code| axis.faults.name(code)))
+        let begun_by = event.begun_by();
+        let of = begun_by.and_then(|by| self.machine.axes.get(usize::from(by.axis)));
+        let begun_by = (begun_by, of.map(|axis| axis.name.as_str()));
+        Some(EventText::new(event.axis, &axis.name, &event.kind()?, begun_by, |code| axis.faults.name(code)))
     }
 
     /// A chunk that is old enough ends.

@@ -61,6 +61,8 @@ pub struct Drive {
     pub inhibited: bool,
     /// Why the axis stands stopped.
     pub stopped: Option<String>,
+    /// Which axis began that stop, and why, if this one was stopped with its stop group.
+    pub begun_by: Option<BegunBy>,
     /// Fault code, null = none.
     pub fault: Option<u32>,
     /// What its protocol calls that; null if it has no name for it.
@@ -76,6 +78,15 @@ pub struct Drive {
     /// That in words; nothing of a drive that is off.
     #[serde(skip)]
     pub(super) left: Option<String>,
+}
+
+/// The axis that began the stop of a stop group.
+#[derive(Clone, Debug, Serialize)]
+pub struct BegunBy {
+    /// Its name.
+    pub axis: String,
+    /// Why it was stopped.
+    pub cause: String,
 }
 
 /// A monitored variable of a drive: not part of its process data. Its numbers are exact, and null until it was seen.
@@ -118,9 +129,13 @@ impl Drive {
         self.link == Link::Online.to_string()
     }
 
-    /// Why it was stopped, other than by the end of the run.
-    pub(super) fn stopped_by(&self) -> Option<&String> {
-        self.stopped.as_ref().filter(|cause| **cause != StopCause::Shutdown.to_string())
+    /// Why it was stopped, other than by the end of the run, with the axis that began it.
+    pub fn stopped_by(&self) -> Option<String> {
+        let cause = self.stopped.as_ref().filter(|cause| **cause != StopCause::Shutdown.to_string())?;
+        Some(match &self.begun_by {
+            Some(BegunBy { axis, cause: of }) => format!("{cause}, begun by {axis}: {of}"),
+            None => cause.clone(),
+        })
     }
 
     /// That it stays powered as planned, in words.
@@ -154,7 +169,7 @@ impl Drive {
 
     /// Why the master had stopped it, and nobody had reset it, when the run ended: `None` also if it was only found
     /// running, which its configuration allows, or stopped with its stop group by that.
-    pub fn failed_by(&self) -> Option<&String> {
+    pub fn failed_by(&self) -> Option<String> {
         self.stopped_by().filter(|_| !self.found_running)
     }
 

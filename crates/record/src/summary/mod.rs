@@ -15,7 +15,7 @@ pub use self::bus::{Bus, ClockNumbers};
 pub use self::carried::{Carried, Share};
 use self::carried::{Course, bins, is_realtime};
 pub use self::cycle::{CycleNumbers, ReferenceNumbers, Stages};
-pub use self::drive::{Drive, Variable};
+pub use self::drive::{BegunBy, Drive, Variable};
 pub use self::late::named;
 pub use self::late::{Found, Late, LateCycle};
 pub(super) use self::numbers::plain;
@@ -204,6 +204,13 @@ impl Summary {
                 position: reported(feedback.status.position).filter(|_| feedback.link != Link::Unseen),
                 inhibited: feedback.status.inhibited,
                 stopped: feedback.stopped.map(|cause| cause.to_string()),
+                begun_by: feedback.begun_by.map(|by| BegunBy {
+                    axis: numbers
+                        .drives
+                        .get(usize::from(by.axis))
+                        .map_or_else(String::new, |of| of.name.clone()),
+                    cause: by.cause.to_string(),
+                }),
                 fault: (feedback.status.fault != 0).then_some(feedback.status.fault),
                 fault_name: fault_names(feedback.status.fault).filter(|_| feedback.status.fault != 0),
                 found_running,

@@ -230,7 +230,10 @@ fn a_group_moves_in_spite_of_a_drive_that_is_found_running_and_not_after_one_was
     assert!(test.machine.world().unplug(address));
     let lines = test.run(10 * S);
     assert_eq!(lines.len(), 3, "{lines:?}");
-    assert!(lines.contains(&"axis x: moves no longer: stopped: stop group".to_owned()), "{lines:?}");
+    assert!(
+        lines.contains(&"axis x: moves no longer: stopped: stop group, begun by y: link lost".to_owned()),
+        "{lines:?}"
+    );
     let stopped = test.checkpoint();
     assert!(test.machine.world().plug(address));
     assert_eq!(test.run(20 * S), Vec::<String>::new());

@@ -107,24 +107,22 @@ impl<C: Clock> Engine<C> {
 
     /// An axis that was stopped stops its stop group, and so does one without which its group would go on.
     fn take_groups_along(&mut self, cycle: &Cycle, now: Time) {
-        while let Some(group) = take_group_stop(cycle, now, &mut self.controllers) {
-            self.stop_axes(cycle, now, StopCause::Group, |other| other == Some(group));
+        while let Some((group, by)) = take_group_stop(cycle, now, &mut self.controllers) {
+            self.stop_axes(|other| other == Some(group), |axis| axis.stop_along(cycle, now, by));
         }
     }
 
     /// Stops every axis whose stop group is `chosen`.
     pub(super) fn stop_axes(
         &mut self,
-        cycle: &Cycle,
-        now: Time,
-        cause: StopCause,
         chosen: impl Fn(Option<u16>) -> bool,
+        stop: impl Fn(&mut DriveController),
     ) {
         // What was posted before the stop ends with it.
         take_commands(&mut self.controllers, &mut self.channels.bells);
         for controller in &mut self.controllers {
             if chosen(controller.plan().stop.group) {
-                controller.stop(cycle, now, cause);
+                stop(controller);
                 controller.take_along();
             }
         }
@@ -176,7 +174,7 @@ impl<C: Clock> Engine<C> {
             std::mem::forget(self.task.take());
         }
         if panicked || over {
-            self.stop_axes(cycle, before, StopCause::Task, |_| true);
+            self.stop_axes(|_| true, |axis| axis.stop(cycle, before, StopCause::Task));
         }
         // The task may have run for long.
         take_commands(&mut self.controllers, &mut self.channels.bells);

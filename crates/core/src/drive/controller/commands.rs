@@ -362,7 +362,7 @@ impl DriveController {
             self.issue(None);
         }
         self.duty.set_latch(Latch::Open);
-        self.feedback.stopped = None;
+        (self.feedback.stopped, self.feedback.begun_by) = (None, None);
         self.end(cycle, now, queued, Outcome::Done);
     }
 

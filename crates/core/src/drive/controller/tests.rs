@@ -514,12 +514,13 @@ fn a_link_is_counted_as_lost_when_it_was_up_and_its_silence_was_not_requested() 
 
 #[test]
 fn an_expected_silence_spares_the_stop_group_only_while_the_axis_neither_is_in_operation_nor_is_to_be() {
+    let lost = Along::All(StopCause::LinkLost);
     for (enabled, command, along) in [
         (false, None, Along::Nobody),
         (false, Some(Command::ResetFault), Along::Nobody),
-        (false, Some(Command::Enable), Along::All),
-        (true, None, Along::All),
-        (true, Some(Command::Home), Along::All),
+        (false, Some(Command::Enable), lost),
+        (true, None, lost),
+        (true, Some(Command::Home), lost),
     ] {
         let mut x = Alone::new(plan());
         x = if enabled { x.enabled() } else { x.online() };

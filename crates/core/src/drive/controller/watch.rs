@@ -4,8 +4,8 @@ use super::duty::{Claim, Latch};
 use super::{Along, DriveController};
 use crate::axis::command::NativeOwner;
 use crate::axis::{
-    Abort, Command, EventKind, FollowingError, FoundRunning, GroupCall, Link, Outcome, QueuedCommand, State,
-    StopCause, StopThen,
+    Abort, BegunBy, Command, EventKind, FollowingError, FoundRunning, GroupCall, Link, Outcome,
+    QueuedCommand, State, StopCause, StopThen,
 };
 use crate::bus::{Cycle, Slot};
 use crate::drive::at_end::{AtEnd, Known, Requested};
@@ -219,6 +219,15 @@ impl DriveController {
         self.stop_by(Braked::BySetpoints, cycle, now, cause);
     }
 
+    /// Stops it because another axis of its stop group was stopped.
+    #[inline(never)]
+    pub fn stop_along(&mut self, cycle: &Cycle, now: Time, begun_by: BegunBy) {
+        if self.duty.latch().is_open() {
+            self.feedback.begun_by = Some(begun_by);
+        }
+        self.stop(cycle, now, StopCause::Group);
+    }
+
     /// The same, by the drive or by setpoints. What was requested of the axis for its end is made no softer by it.
     pub(super) fn stop_by(&mut self, braked: Braked, cycle: &Cycle, now: Time, cause: StopCause) {
         if !self.duty.latch().is_open() {
@@ -297,7 +306,7 @@ impl DriveController {
             _ => return,
         };
         self.rest.interrupt();
-        self.along = Along::All;
+        self.along = Along::All(cause);
         self.emit(cycle, now, EventKind::Stopped(cause));
         self.flush(cycle, now, Abort::Stopped(cause));
         self.issue(Some(command));
@@ -308,7 +317,7 @@ impl DriveController {
         self.duty.set_latch(Latch::Kept(cause));
         self.requested = Requested::default();
         self.disarm();
-        self.along = Along::All;
+        self.along = Along::All(cause);
         self.feedback.stopped = Some(cause);
         self.emit(cycle, now, EventKind::Stopped(cause));
         self.flush(cycle, now, Abort::Stopped(cause));
@@ -323,7 +332,7 @@ impl DriveController {
 
     /// Whether others may have to stop because of it.
     pub fn takes_along(&self) -> bool {
-        self.along != Along::Nobody
+        !matches!(self.along, Along::Nobody)
     }
 
     /// Who has to stop because of it, once.

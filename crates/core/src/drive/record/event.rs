@@ -2,7 +2,8 @@
 //! words; here it is a code, and what the code needs.
 
 use crate::axis::{
-    Abort, Command, CommandId, Emergency, EventKind, Failure, Link, Outcome, RangeError, State, StopCause,
+    Abort, BegunBy, Command, CommandId, Emergency, EventKind, Failure, Link, Outcome, RangeError, State,
+    StopCause,
 };
 
 /// What has happened; the ends of commands by their outcome.
@@ -69,8 +70,20 @@ pub struct EventRecord {
 
 impl EventRecord {
     /// Of an event in slot `index`.
-    pub fn new(index: u64, axis: u16, kind: EventKind) -> EventRecord {
-        EventRecord { index, axis, ..EventRecord::of(kind) }
+    pub fn new(index: u64, axis: u16, kind: EventKind, begun_by: Option<BegunBy>) -> EventRecord {
+        let mut record = EventRecord { index, axis, ..EventRecord::of(kind) };
+        if let Some(BegunBy { axis, cause }) = begun_by {
+            // Above the number of its own cause.
+            record.number |= u32::from(axis) << 16 | (cause as u32) << 8;
+        }
+        record
+    }
+
+    /// The axis that began the stop, if it is one of a stop group.
+    pub fn begun_by(&self) -> Option<BegunBy> {
+        let is_stop = matches!(self.what, What::Stopped | What::AbortedByStop);
+        let cause = StopCause::of(usize::from((self.number >> 8) as u8)).filter(|_| is_stop)?;
+        Some(BegunBy { axis: (self.number >> 16) as u16, cause })
     }
 
     fn of(kind: EventKind) -> EventRecord {
@@ -208,9 +221,8 @@ impl EventRecord {
         State::ALL.get(self.number as usize).copied()
     }
 
-    /// Their numbers begin with 1.
     fn cause(&self) -> Option<StopCause> {
-        StopCause::ALL.get((self.number as usize).checked_sub(1)?).copied()
+        StopCause::of(usize::from(self.number as u8))
     }
 }
 
@@ -274,10 +286,13 @@ mod tests {
     #[test]
     fn every_event_survives_its_record() {
         let mut seen = std::collections::BTreeSet::new();
+        let by = BegunBy { axis: u16::MAX, cause: StopCause::PositionJump };
         for kind in kinds() {
-            let record = EventRecord::new(7, 3, kind);
+            let begun_by = kind.is_of_stop_group().then_some(by);
+            let record = EventRecord::new(7, 3, kind, begun_by);
             seen.insert(record.what as u8);
             assert_eq!((record.index, record.axis, record.kind()), (7, 3, Some(kind)));
+            assert_eq!(record.begun_by(), begun_by, "{kind}");
         }
         assert_eq!(seen.len(), What::Dropped as usize + 1, "a kind of event is missing in this test");
     }
