@@ -8,7 +8,7 @@ use super::Soak;
 use super::mover::STOPPED;
 use super::samples::{Process, Sample};
 use fieldbeat_core::axis::{SilenceFaults, State, StopCause};
-use fieldbeat_record::archive::Archive;
+use fieldbeat_record::archive::{Archive, Drive};
 use fieldbeat_telemetry::{Happened, Marks};
 
 /// The form of the checkpoint. Another one is refused.
@@ -42,7 +42,8 @@ pub struct AxisProgress {
     pub cycles: u64,
     /// Why it moves no longer, in the process that was first.
     pub given_up: Option<String>,
-    /// Faults that the pauses between the processes caused, and the stops by them: they do not count.
+    /// Faults that the pauses between the processes caused, or that stood through them and are counted before, and the
+    /// stops by them: they do not count.
     #[serde(default)]
     pub faults_of_pauses: u64,
     /// Likewise; and those by the group of a drive that was found running, before the axis was enabled.
@@ -57,8 +58,15 @@ impl AxisProgress {
     }
 
     /// What does not count of a process, by its marks up to when the axis was enabled: a fault of these, which the
-    /// pause before has caused, with the stop by it, and stops by the group. One by which the axis was given up counts.
-    fn excuse(&mut self, is_of_pause: Option<SilenceFaults>, given_up: Option<&str>, marks: &Marks) {
+    /// pause before has caused, or the one that has `stood` through it, with the stop by it, and stops by the group.
+    /// One by which the axis was given up counts.
+    fn excuse(
+        &mut self,
+        is_of_pause: Option<SilenceFaults>,
+        stood: Option<u32>,
+        given_up: Option<&str>,
+        marks: &Marks,
+    ) {
         let enabled = Happened::State(State::OperationEnabled.to_string());
         let stopped = |cause: StopCause| Happened::Stopped(cause.to_string());
         let before = marks.iter().map(|mark| &mark.what).take_while(|what| **what != enabled);
@@ -70,9 +78,15 @@ impl AxisProgress {
         let of_group = format!("{STOPPED}{}", StopCause::Group);
         let counts = is_last && given_up.is_some_and(|why| why.starts_with(&of_group));
         self.stops_of_pauses += by_group.saturating_sub(u64::from(counts));
+        // A drive that was seen without a fault has a new one.
+        let faulty = [State::Fault, State::FaultReactionActive, State::NotReadyToSwitchOn, State::Unknown];
+        let is_faulty = |state: &String| faulty.iter().any(|faulty| faulty.to_string() == *state);
+        let found = before.iter().take_while(|what| !matches!(what, Happened::State(of) if !is_faulty(of)));
+        let stood = stood.filter(|code| found.clone().any(|what| **what == Happened::Fault(*code)));
+        let excused =
+            |code: u32| stood == Some(code) || is_of_pause.is_some_and(|is_of_pause| is_of_pause(code));
         let mut before = before.into_iter();
-        let Some(is_of_pause) = is_of_pause else { return };
-        let has_fault = before.any(|what| matches!(what, Happened::Fault(code) if is_of_pause(*code)));
+        let has_fault = before.any(|what| matches!(what, Happened::Fault(code) if excused(*code)));
         self.faults_of_pauses += u64::from(has_fault);
         self.stops_of_pauses +=
             u64::from(has_fault && before.any(|what| *what == stopped(StopCause::DriveFault)));
@@ -124,8 +138,11 @@ impl Progress {
                 axis.given_up = mover.given_up().map(str::to_owned);
             }
         }
-        for ((axis, mover), drive) in all.axes.iter_mut().zip(soak.movers()).zip(&run.drives) {
-            axis.excuse(mover.of_pause(), mover.given_up(), &drive.motion.marks);
+        let before = self.run.as_ref();
+        let axes = all.axes.iter_mut().zip(soak.movers()).zip(&run.drives);
+        for (index, ((axis, mover), drive)) in axes.enumerate() {
+            let stood = before.and_then(|run| standing_fault(run.drives.get(index)?));
+            axis.excuse(mover.of_pause(), stood, mover.given_up(), &drive.motion.marks);
         }
         match &mut all.run {
             Some(before) => before.append(run),
@@ -147,6 +164,16 @@ impl Progress {
     }
 }
 
+/// The code of the fault that a drive had when its process ended.
+fn standing_fault(drive: &Drive) -> Option<u32> {
+    drive.fault.as_ref()?;
+    let codes = drive.motion.marks.iter().filter_map(|mark| match mark.what {
+        Happened::Fault(code) => Some(code),
+        _ => None,
+    });
+    codes.last()
+}
+
 fn now_s() -> u64 {
     SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs())
 }
@@ -165,8 +192,15 @@ mod tests {
         let enabled = (OperationEnabled, 0, None);
         let group = (SwitchOnDisabled, 0, Some(StopCause::Group));
         let by_group = Some("stopped: stop group, begun by y: link lost");
+        // That of the process before.
+        let stood = Some(20);
         for (course, given_up, faults, stops) in [
-            (&[(Fault, 30, stopped), (SwitchOnDisabled, 0, None), enabled][..], None, 1, 1),
+            // It was found, and again once it was reset; another one.
+            (&[(Fault, 20, stopped)][..], None, 1, 1),
+            (&[(Fault, 20, stopped), (SwitchOnDisabled, 0, None), (Fault, 20, stopped)], None, 1, 1),
+            (&[(SwitchOnDisabled, 0, None), (Fault, 20, stopped)], None, 0, 0),
+            (&[(Fault, 21, stopped)], None, 0, 0),
+            (&[(Fault, 30, stopped), (SwitchOnDisabled, 0, None), enabled], None, 1, 1),
             (&[(Fault, 30, None), (SwitchOnDisabled, 0, None), enabled], None, 1, 0),
             // Another fault, one of a drive that moved again, and none.
             (&[(Fault, 9, stopped), enabled], None, 0, 0),
@@ -186,7 +220,7 @@ mod tests {
                 motion.enter(&DriveRecord { index, link, state, fault, stopped, ..DriveRecord::default() });
             }
             let mut axis = AxisProgress::default();
-            axis.excuse(Some(|code| code == 30), given_up, &motion.axes().next().unwrap().marks);
+            axis.excuse(Some(|code| code == 30), stood, given_up, &motion.axes().next().unwrap().marks);
             assert_eq!((axis.faults_of_pauses, axis.stops_of_pauses), (faults, stops), "{course:?}");
         }
     }

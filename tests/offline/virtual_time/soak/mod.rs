@@ -211,6 +211,35 @@ fn a_trip_of_a_pause_is_reset_but_no_other_one_and_an_axis_that_was_given_up_sta
     }
 }
 
+/// It stands through the pause: nobody has reset it.
+#[test]
+fn a_fault_that_a_test_goes_on_with_counts_once_and_so_does_its_stop() {
+    let text = machine(4, ALONE);
+    let mut test = Test::tripped(&text, Progress::new(text.clone(), 60 * S), Some(20));
+    assert_eq!(test.run(20 * S).len(), 1);
+    let mut progress = test.checkpoint();
+    let of = |test: &Test, progress: &Progress| {
+        let judged = judge(&test.plan, progress, false);
+        let counts = judged.iter().filter(|one| ["faults", "stops", "given_up"].contains(&one.criterion));
+        counts.map(Judged::line).collect::<Vec<_>>()
+    };
+    let first = of(&test, &progress);
+    assert!(first.contains(&"faults: 1, at most 0; u".to_owned()), "{first:?}");
+    for _ in 0..2 {
+        let mut test = Test::tripped(&text, progress, Some(20));
+        let lines = test.run(20 * S);
+        assert!(matches!(&lines[..], [only] if only.contains("as before the pause")), "{lines:?}");
+        progress = test.checkpoint();
+        assert_eq!(of(&test, &progress), first);
+    }
+    // Another one is a fault of the test, whoever it stops.
+    let mut test = Test::tripped(&text, progress, Some(21));
+    test.run(20 * S);
+    let progress = test.checkpoint();
+    let other = of(&test, &progress);
+    assert!(other.contains(&"faults: 2, at most 0; u".to_owned()), "{other:?}");
+}
+
 /// A killed test leaves its drives running, and the first of them to be seen so stops its group. A stop in motion is
 /// one of the test.
 #[test]
