@@ -60,8 +60,9 @@ struct Set {
     /// Unidrive, 0x6060:0 (with a type 0x6060:0.i8) of a drive on EtherCAT, AC or R:3 of a MOONS', C0012, C0039/2 (a
     /// subcode) or C0150.u16 of a Lenze, or a name.
     address: String,
-    /// A whole number of counts, or its bits as 0x....; or a value with its unit as `get` shows it, "1500.0 rpm"; for a
-    /// Unidrive, a MOONS' or a Lenze also a scaled value with a point, 1500.0. Several values are those of the parameters of a Unidrive that follow one another, in one request.
+    /// A whole number of counts, or its bits as 0x....; or a value with its unit as `get` shows it, "1500.0 rpm"; for
+    /// a Unidrive, a MOONS' or a Lenze also a scaled value with a point, 1500.0. Several values are those of the
+    /// parameters of a Unidrive that follow one another, in one request.
     #[arg(required = true, allow_negative_numbers = true, value_name = "VALUE")]
     values: Vec<String>,
     /// Print one JSON object, or an array of them for several values.
