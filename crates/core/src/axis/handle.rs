@@ -150,7 +150,7 @@ pub enum AxisError {
         capacity: usize,
     },
     /// It ended in another way than Done.
-    #[error("axis {axis}: {command} {}", text_of(*outcome, *fault, begun_by.as_ref()))]
+    #[error("axis {axis}: {command} {}", text_of(*outcome, *fault, begun_by.as_deref()))]
     Ended {
         /// The axis.
         axis: String,
@@ -162,7 +162,7 @@ pub enum AxisError {
         fault: Option<&'static str>,
         /// The axis that began the stop which aborted it, by name, and why that was stopped, if it was stopped with its
         /// stop group.
-        begun_by: Option<(String, StopCause)>,
+        begun_by: Option<Box<(String, StopCause)>>,
     },
     /// It did not end in the given time. It continues: stop it, or wait longer.
     #[error("axis {axis}: {command} has not ended after {waited:?} (state {state}): stop it, or wait longer")]
@@ -641,7 +641,7 @@ impl Axis {
             command,
             outcome,
             fault: outcome.fault().and_then(self.ends.faults),
-            begun_by: event.begun_by.map(|by| (name(by), by.cause)),
+            begun_by: event.begun_by.map(|by| Box::new((name(by), by.cause))),
         })
     }
 

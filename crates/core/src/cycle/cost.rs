@@ -9,7 +9,6 @@ use std::path::PathBuf;
 use nix::ifaddrs::getifaddrs;
 
 use super::{CyclePlan, Plan};
-use crate::bus::BusPlan;
 use crate::bus::load::{Load, Medium, Way};
 use crate::rt::host;
 use crate::time::{MS, Ns, S, US, three_digits};
@@ -215,10 +214,7 @@ impl Demand {
         let buses = buses.collect();
         let takes = |period_ns: &u64| {
             let grid = CyclePlan { period_ns: *period_ns, ..plan.cycle.clone() }.grid();
-            let of_bus = |bus: &Box<dyn BusPlan>| {
-                bus.faults(*period_ns).is_empty() && bus.turn_faults(grid).is_empty()
-            };
-            plan.buses.iter().all(of_bus)
+            plan.buses.iter().all(|bus| bus.faults(*period_ns).is_empty() && bus.turn_faults(grid).is_empty())
         };
         let periods = LADDER.into_iter().filter(|longer| *longer > period_ns).filter(takes).collect();
         Demand { period_ns, deadline_ns: plan.cycle.deadline_ns(), buses, periods }

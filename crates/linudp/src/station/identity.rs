@@ -281,7 +281,7 @@ impl Identity {
             // One at a time: of two their replies could be mistaken.
             let earlier = &self.earlier[..usize::from(self.earlier_count)];
             let is_odd_owed = earlier.iter().any(|earlier| self.is_odd(earlier.echo));
-            self.odd_due |= !is_odd_owed && !(self.open && self.odd_requested);
+            self.odd_due |= !(is_odd_owed || self.open && self.odd_requested);
         }
         if self.open && echo == self.requested {
             // No request has left since.
