@@ -5,6 +5,7 @@ use std::net::{Ipv4Addr, SocketAddr, SocketAddrV4, UdpSocket};
 use std::thread::{self, JoinHandle};
 
 use fieldbeat::sim::server::SimServer;
+use fieldbeat_core::net::Place;
 use libc::{SIGINT, SIGTERM};
 use serde_json::Value;
 
@@ -276,4 +277,37 @@ fn pin_adds_what_the_connected_drives_report_and_names_what_contradicts_the_file
     let said =
         "e: alias = 11 is what the drive reports, and not what the file has: drives or cables are exchanged";
     assert!(ended.err.contains(said), "{}", ended.err);
+}
+
+#[test]
+fn pin_waits_for_drives_that_answer_late_and_says_who_else_is_there() {
+    let machine = Machine::new(166);
+    let [own, linmot, used, unidrive, nobody] = [1, 10, 11, 20, 21].map(|host| machine.ip(host));
+    let drive = |name: &str, address: String, more: &str| {
+        format!("[[bus.drive]]\nname = \"{name}\"\naddress = \"{address}\"\n{more}\n")
+    };
+    let late =
+        drive("u", format!("{unidrive}:1502"), "simulate = { serial = 12, answer_time = \"700ms\" }\n");
+    let lost = drive("l", linmot.to_string(), "simulate = { serial = 14, answer_time = \"400ms\" }");
+    let config = |name: &str, more: [String; 2]| {
+        let [modbus, linudp] = more;
+        let text = format!(
+            "{}[[bus]]\nprotocol = \"modbus-tcp\"\n[bus.defaults]\ndivisor = 8\n{late}{modbus}\
+             [[bus]]\nprotocol = \"linudp-v2\"\nbind = \"{own}\"\n[bus.defaults]\nserial_from = \"0x0066\"\n\
+             {lost}{linudp}",
+            patient_cycle()
+        );
+        machine.write(name, text)
+    };
+    let _sim = serve(&config("simulated.toml", Default::default()));
+    let nobody = format!("{nobody}:1502");
+    let more = [drive("n", nobody.clone(), ""), drive("o", used.to_string(), "")];
+    let config = config("more.toml", more);
+    let _master = Place::Drive(SocketAddrV4::new(used, 49_360)).lock().expect("nobody uses it");
+    let ended = Program::start([OsStr::new("pin"), config.as_os_str()]).end();
+    ended.expect(1);
+    assert_eq!(ended.out.lines().collect::<Vec<_>>(), ["u: serial = 12", "l: serial = 14"], "{ended:?}");
+    let [silent, other] = ended.err.lines().collect::<Vec<_>>()[..] else { panic!("{ended:?}") };
+    assert_eq!(silent, format!("fieldbeat: n: no drive of its type answers at {nobody}"));
+    assert!(other.starts_with(&format!("fieldbeat: o: {used} is in use by another master")), "{other}");
 }

@@ -89,18 +89,18 @@ impl Search<'_> {
         let axes = self.plan.axes();
         let found = match search.probes {
             // One by one: what is read of a drive may be a key of its own.
-            true => (0..axes.len()).try_fold(Vec::new(), |mut all, index| {
-                all.extend(self.found(index, index..index + 1, goes_on)?);
-                Ok(all)
-            }),
-            false => self.found(0, 0..axes.len(), goes_on),
+            true => (0..axes.len()).map(|index| self.found(index, index..index + 1, goes_on)).collect(),
+            false => self.found(0, 0..axes.len(), goes_on).map(|all| vec![all; axes.len()]),
         };
-        let found = found.map_err(Stop::failed)?;
+        let found: Vec<Vec<Found>> = found.map_err(Stop::failed)?;
         for (index, axis) in axes.iter().enumerate() {
             let (name, table) = (&axis.name, self.drives.get(index));
             let place = self.plan.place(index).unwrap_or_default();
-            let Some(there) = found.iter().find(|found| self.is_at(found, &place)) else {
-                wrong.push(format!("{name}: no drive of its type answers at {place}"));
+            let Some(there) = found[index].iter().find(|found| self.is_at(found, &place)) else {
+                // Who else is there, or that it is left alone.
+                let other = found[index].iter().find(|found| found.lines.is_empty() && search.probes);
+                let no_drive = || format!("no drive of its type answers at {place}");
+                wrong.push(format!("{name}: {}", other.map_or_else(no_drive, |other| other.what.clone())));
                 continue;
             };
             let own = |key: &&(&'static str, String)| {
@@ -139,7 +139,8 @@ impl Search<'_> {
         let outline = &self.protocol.outline;
         let answer = |key: &str| {
             let own = self.drives.get(index).and_then(|table| table.get(key));
-            own.or_else(|| self.bus.get(key)).and_then(|value| shown(value.get_ref()))
+            let usual = || self.bus.get("defaults")?.get_ref().as_table()?.get(key);
+            own.or_else(usual).or_else(|| self.bus.get(key)).and_then(|value| shown(value.get_ref()))
         };
         let addresses = self.plan.addresses();
         let addresses = addresses.get(drives).unwrap_or_default();

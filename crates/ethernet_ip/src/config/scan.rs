@@ -1,10 +1,12 @@
 //! Lists the devices of a network by ListIdentity, on a normal thread. It changes nothing in them.
 //!
+//! An address that does not answer by UDP, which a firewall may hold back, is asked by TCP, without a session.
+//!
 //! A device waits at random before it answers a broadcast, up to the time that the context of the request says
 //! (EtherNet/IP, volume 2). The rest of the context is ours: an answer with another one was not requested here.
 
-use std::io::{self, ErrorKind};
-use std::net::{Ipv4Addr, SocketAddr, SocketAddrV4, UdpSocket};
+use std::io::{self, ErrorKind, Read, Write};
+use std::net::{Ipv4Addr, SocketAddr, SocketAddrV4, TcpStream, UdpSocket};
 use std::time::{Duration, Instant};
 
 use thiserror::Error;
@@ -21,6 +23,8 @@ const PATIENCE: Duration = Duration::from_millis(MOST_WAIT_MS as u64 + 500);
 const AGAIN: Duration = Duration::from_millis(500);
 /// How long one look for answers takes.
 const LOOK: Duration = Duration::from_millis(50);
+/// For a connection, and then for an answer on it.
+const TCP_PATIENCE: Duration = Duration::from_millis(1_000);
 /// The most devices that are listed: what sends more is a flood.
 const MOST: usize = 4_096;
 /// Longer than any answer.
@@ -104,7 +108,11 @@ pub(super) fn scan(
         let answered = |target: &&SocketAddrV4| devices.iter().any(|device| device.from == **target);
         let mut silent = targets.iter().filter(|target| !answered(target)).peekable();
         if silent.peek().is_none() || asked == 2 && begun.elapsed() >= PATIENCE {
-            return finish(devices);
+            let by_tcp =
+                silent.take_while(|_| goes_on()).filter_map(|target| answered_by_tcp(*target, &request));
+            let more: Vec<Device> = by_tcp.collect();
+            more.into_iter().for_each(|device| devices.extend(is_new(&device, &devices).then_some(device)));
+            return if goes_on() { finish(devices) } else { Err(ScanError::Interrupted) };
         }
         if asked == 0 || asked == 1 && begun.elapsed() >= AGAIN {
             for target in silent {
@@ -116,7 +124,8 @@ pub(super) fn scan(
         }
         match socket.recv_from(&mut buffer) {
             Ok((size, SocketAddr::V4(from))) => {
-                let device = buffer.get(..size).and_then(|datagram| answer(datagram, from, context));
+                let frame = buffer.get(..size).and_then(Frame::datagram);
+                let device = frame.and_then(|frame| answer(&frame, from, context));
                 devices.extend(device.filter(|device| devices.len() < MOST && is_new(device, &devices)));
             }
             Ok(_) => {}
@@ -146,9 +155,26 @@ fn is_no_answer(error: &io::Error) -> bool {
     )
 }
 
-/// The device that a datagram names; `None` if it is no answer to our request.
-fn answer(datagram: &[u8], from: SocketAddrV4, context: u64) -> Option<Device> {
-    let frame = Frame::datagram(datagram)?;
+/// The device at this address, by a connection. The routes of this computer decide where that leaves.
+fn answered_by_tcp(target: SocketAddrV4, request: &[u8]) -> Option<Device> {
+    let mut stream = TcpStream::connect_timeout(&target.into(), TCP_PATIENCE).ok()?;
+    stream.set_read_timeout(Some(TCP_PATIENCE)).ok()?;
+    stream.write_all(request).ok()?;
+    let context = Frame::datagram(request)?.header.context;
+    let (mut buffer, mut filled) = ([0; ROOM], 0);
+    loop {
+        match stream.read(buffer.get_mut(filled..)?).ok()? {
+            0 => return None,
+            count => filled += count,
+        }
+        if let Some((frame, _)) = Frame::next(buffer.get(..filled)?).ok()? {
+            return answer(&frame, target, context);
+        }
+    }
+}
+
+/// The device that an answer names; `None` if it is none to our request.
+fn answer(frame: &Frame<'_>, from: SocketAddrV4, context: u64) -> Option<Device> {
     let header = frame.header;
     if (header.command, header.status, header.context) != (command::LIST_IDENTITY, Status::OK, context) {
         return None;
@@ -193,6 +219,8 @@ pub(super) fn specimen() -> Device {
 
 #[cfg(test)]
 mod tests {
+    use std::net::TcpListener;
+
     use super::*;
     use crate::wire::cpf::{self, item};
     use crate::wire::encapsulation::Header;
@@ -217,7 +245,7 @@ mod tests {
 
     /// One with this serial number that has answered from there.
     pub(super) fn device(serial: u32, from: SocketAddrV4) -> Device {
-        answer(&answered(7, serial), from, 7).unwrap()
+        answer(&Frame::datagram(&answered(7, serial)).unwrap(), from, 7).unwrap()
     }
 
     #[test]
@@ -230,6 +258,29 @@ mod tests {
         assert!(is_new(&device(0, elsewhere), &known));
         let both = finish(vec![device(6, elsewhere), device(5, FROM)]).unwrap();
         assert_eq!(both[0].from, FROM);
+    }
+
+    /// A firewall holds its datagrams back. The answer comes in pieces.
+    #[test]
+    fn a_device_that_does_not_answer_by_udp_is_asked_by_tcp() {
+        let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
+        let SocketAddr::V4(target) = listener.local_addr().unwrap() else { unreachable!("bound to IPv4") };
+        let _mute = UdpSocket::bind(target).unwrap();
+        let devices = std::thread::scope(|scope| {
+            scope.spawn(|| {
+                let (mut stream, _) = listener.accept().unwrap();
+                let mut buffer = [0; 24];
+                stream.read_exact(&mut buffer).unwrap();
+                let request = Frame::datagram(&buffer).unwrap().header;
+                assert_eq!((request.command, request.session), (command::LIST_IDENTITY, 0));
+                for part in answered(request.context, 7).chunks(40) {
+                    stream.write_all(part).unwrap();
+                }
+            });
+            scan(Ipv4Addr::LOCALHOST, Targets::Some(&[target]), &|| true)
+        });
+        let found: Vec<_> = devices.unwrap().iter().map(|device| (device.from, device.serial)).collect();
+        assert_eq!(found, [(target, 7)]);
     }
 
     /// Each is asked by its own address; the second one answers twice, and somebody else unasked.

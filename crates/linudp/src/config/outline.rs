@@ -12,6 +12,8 @@ use fieldbeat_keys::outline::{
 
 /// A drive answers within a millisecond or two.
 const PATIENCE: Duration = Duration::from_millis(300);
+/// One that is the only one to be probed is asked so often: a datagram may be lost, or late.
+const MOST_ASKED: usize = 3;
 /// Longer than any answer.
 const ROOM: usize = 1_024;
 
@@ -36,7 +38,7 @@ pub(super) const OUTLINE: Outline = Outline {
             .only_if("no_drive_watchdog", "accept"),
     ],
     search: Search {
-        question: "Probe addresses one by one? Each is sent one request without a command. A drive that \
+        question: "Probe addresses one by one? Each is sent a request without a command. A drive that \
              accepts a single master takes this computer for it until it is restarted",
         usual: false,
         probes: true,
@@ -59,12 +61,13 @@ fn probe(
     })?;
     let ready = socket.set_read_timeout(Some(PATIENCE));
     ready.map_err(|error| format!("cannot receive answers: {error}"))?;
+    let times = if addresses.len() == 1 { MOST_ASKED } else { 1 };
     let serial_from = (known.answer)("serial_from").and_then(|from| Upid::parse(&from));
     let mut found = Vec::new();
     for address in addresses.iter().take_while(|_| goes_on()) {
         let mut serial = None;
         let there = probed(*address, DRIVE_PORT, || {
-            let answer = ask(&socket, *address);
+            let answer = ask(&socket, *address, times);
             if let (Answer::Drive(_), Some(from)) = (answer, serial_from) {
                 serial = read(&socket, *address, from);
             }
@@ -116,11 +119,12 @@ fn exchange(
     None
 }
 
-/// Who answers. The request has neither a control word nor a command.
-fn ask(socket: &UdpSocket, address: SocketAddrV4) -> Answer {
+/// Who answers one of so many requests. They have neither a control word nor a command.
+fn ask(socket: &UdpSocket, address: SocketAddrV4, times: usize) -> Answer {
     let request = Request { response_def: ResponseDef::STATUS, ..Request::default() };
     let mut reply = [0; ROOM];
-    let Some(size) = exchange(socket, address, &request, &mut reply) else { return Answer::None };
+    let size = (0..times).find_map(|_| exchange(socket, address, &request, &mut reply));
+    let Some(size) = size else { return Answer::None };
     let is_status = ResponseView::new(&reply[..size]).is_ok_and(|view| view.status().is_some());
     if is_status { Answer::Drive("a LinMot") } else { Answer::None }
 }
