@@ -60,9 +60,8 @@ struct Set {
     /// Unidrive, 0x6060:0 (with a type 0x6060:0.i8) of a drive on EtherCAT, AC or R:3 of a MOONS', C0012, C0039/2 (a
     /// subcode) or C0150.u16 of a Lenze, or a name.
     address: String,
-    /// A whole number of counts, or its bits as 0x....; or a value with its unit as `get` shows it, "1500.0 rpm"; for
-    /// a Unidrive, a MOONS' or a Lenze also a scaled value with a point, 1500.0. Several values are those of the
-    /// parameters of a Unidrive that follow one another, in one request.
+    /// A whole number, or its bits as 0x....; for a Unidrive, a MOONS' or a Lenze also a scaled value with a point,
+    /// 1500.0. Several values are those of the parameters of a Unidrive that follow one another, in one request.
     #[arg(required = true, allow_negative_numbers = true, value_name = "VALUE")]
     values: Vec<String>,
     /// Print one JSON object, or an array of them for several values.
@@ -117,7 +116,7 @@ impl Set {
             let block = notation.block(&self.address, values.len());
             let block = block.map_err(wrong(&self.drive, "write", &self.address))?;
             for (address, value) in block.addresses.iter().zip(values) {
-                raw.push(notation.meant(address, value).map_err(wrong(&self.drive, "write", address))?);
+                raw.push(notation.value(address, value).map_err(wrong(&self.drive, "write", address))?);
             }
             Ok(())
         };
@@ -145,7 +144,7 @@ impl Set {
 
     fn set_one(&self, value: &str, interrupt: &Interrupt) -> Result<(), Stop> {
         let check = |notation: &dyn Notation| {
-            let call = notation.meant(&self.address, value);
+            let call = notation.value(&self.address, value);
             let call = call.and_then(|raw| notation.write(&self.address, raw));
             call.map(drop).map_err(wrong(&self.drive, "write", &self.address))
         };

@@ -396,14 +396,6 @@ impl Notation for Addresses {
         address.number(text).map(|number| address.shape.raw(number))
     }
 
-    fn in_unit(&self, address: &str, number: &str) -> Option<(&'static str, Option<i64>)> {
-        let Shape::Number { scale: Some(Scale { unit, per_unit }), .. } = Address::parse(address)?.shape
-        else {
-            return None;
-        };
-        Some((unit, number.parse::<f64>().ok().map(|value| (value * per_unit).round() as i64)))
-    }
-
     fn number(&self, address: &str, raw: u64) -> i64 {
         Address::parse(address).map_or(raw as i64, |address| address.shape.value(raw))
     }

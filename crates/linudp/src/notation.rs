@@ -3,10 +3,10 @@
 use std::time::Duration;
 
 use super::service::{ServiceError, Services};
-use super::upid::{Known, Scale, Type, Upid, Usage, Variant, address, call};
+use super::upid::{Known, Type, Upid, Usage, Variant, address, call};
 use super::wire::{Refusal, RtcCommand};
 use fieldbeat_core::axis::acyclic::{
-    Access, Call, ListError, Listed, Listing, Notation, NotationError, Wanted, Watcher, count_in_unit, go_on,
+    Access, Call, ListError, Listed, Listing, Notation, NotationError, Wanted, Watcher, go_on,
 };
 
 const FORM: &str =
@@ -94,16 +94,6 @@ impl Notation for Upids {
 
     fn number(&self, address: &str, raw: u64) -> i64 {
         Upids::kind(address).number(raw as u32)
-    }
-
-    fn in_unit(&self, text: &str, number: &str) -> Option<(&'static str, Option<i64>)> {
-        let (upid, _) = address(text)?;
-        match upid.known()? {
-            Known { scale: Scale::Decimals(decimals), unit, .. } if !unit.is_empty() => {
-                Some((unit, count_in_unit(number, *decimals)))
-            }
-            _ => None,
-        }
     }
 
     fn show(&self, text: &str, raw: u64) -> String {
@@ -239,14 +229,6 @@ mod tests {
             }
         }
         assert_eq!(Upids.show("home-position", 0xFFFF_FFFB), "-5 (0xFFFFFFFB) = -0.0005 mm");
-        for text in ["-0.0005 mm", "-0.0005mm", "-5"] {
-            assert_eq!(Upids.meant("home-position", text), Ok(0xFFFF_FFFB), "{text}");
-        }
-        assert_eq!(Upids.meant("home-position", "3 mm"), Ok(30_000));
-        for text in ["3 m", "3 mm/s", "0.00005 mm", "mm", "3 "] {
-            let wrong = Upids.meant("home-position", text);
-            assert!(matches!(wrong, Err(NotationError::Value { .. })), "{text}: {wrong:?}");
-        }
         assert_eq!(Upids.show("0x20A8", 0x1E0F), "7695 (0x1E0F)");
         assert_eq!(Upids.show("article-number", 0x4C45_4946), "\"FIEL\" (0x4C454946)");
         assert_eq!(Upids.number("core-temperature", 0xFFFE), -2);

@@ -26,7 +26,7 @@ use super::wire::{ExceptionCode, REGISTERS_MAX};
 use fieldbeat_core::axis::acyclic::long;
 pub use fieldbeat_core::axis::acyclic::long::{READ, WRITE};
 use fieldbeat_core::axis::acyclic::{
-    Block, Call, ListError, Listing, Notation, NotationError, Wanted, bits, count, count_in_unit, within,
+    Block, Call, ListError, Listing, Notation, NotationError, Wanted, bits, count, within,
 };
 
 /// A status above those of the drive: it wrote fewer registers than it received, its silent refusal (Commander SE
@@ -191,11 +191,6 @@ impl Notation for Parameters {
         };
         let number = within(number, (low, high), text, || form(decimals, low, high))?;
         Ok(target.width.raw(number).into())
-    }
-
-    fn in_unit(&self, address: &str, number: &str) -> Option<(&'static str, Option<i64>)> {
-        let known = Target::parse(address)?.parameter.known().filter(|known| !known.unit.is_empty())?;
-        Some((known.unit, count_in_unit(number, known.decimals)))
     }
 
     fn number(&self, address: &str, raw: u64) -> i64 {

@@ -26,7 +26,7 @@ use super::wire::msac1::Record;
 use fieldbeat_core::axis::acyclic::long::{self, READ, STORE, WRITE};
 use fieldbeat_core::axis::acyclic::{
     Call, CallError, Carrier, Integer, ListError, Listing, Notation, NotationError, Series, Wanted, bits,
-    count, count_in_unit, within,
+    count, within,
 };
 
 const FORM: &str = "C0061 (a code), C0039/2 (with a subcode), C0150.u16 (with a kind: u8, i8, u16, i16, u32, \
@@ -181,11 +181,6 @@ impl Notation for Codes {
             None => count(text, target.scale().0),
         };
         within(number, range, text, || form(target)).map(|number| integer.raw(number))
-    }
-
-    fn in_unit(&self, address: &str, number: &str) -> Option<(&'static str, Option<i64>)> {
-        let (decimals, unit) = Target::parse(address)?.scale();
-        (!unit.is_empty()).then(|| (unit, count_in_unit(number, decimals)))
     }
 
     fn number(&self, address: &str, raw: u64) -> i64 {

@@ -133,9 +133,6 @@ fn values_are_counts_or_scaled_by_their_code() {
     }
     // In 16 bits a code has other decimals, if they are known.
     assert_eq!(Codes.show("C0061.i16", 43), "43 (0x2B) = 43 °C");
-    assert_eq!(Codes.meant("C0012", "1.5 s"), Codes.value("C0012", "1.5"));
-    assert_eq!(Codes.meant("C0012", "2s"), Codes.value("C0012", "2.0"));
-    assert!(Codes.meant("C0012", "2 rpm").is_err() && Codes.meant("C0012", "2") == Codes.value("C0012", "2"));
     assert_eq!(Codes.show("C0039.i16", 43), "43 (0x2B)");
     let number = |address| Codes.number(address, 0xFFFF_FFFE);
     assert_eq!((number("C0039"), number("C0039.u32")), (-2, 0xFFFF_FFFE));

@@ -29,7 +29,7 @@ pub use integer::Integer;
 pub(crate) use notation::Numbers;
 pub use notation::{
     Access, Block, ListError, Listed, Listing, Notation, NotationError, ParameterError, Progress, ReadList,
-    Request, Wanted, Watcher, bits, count, count_in_unit, go_on, read_listed, within,
+    Request, Wanted, Watcher, bits, count, go_on, read_listed, within,
 };
 pub use parameter::{ParameterTicket, Parameters, Scalar};
 pub use port::{Commanding, Port, Posted};

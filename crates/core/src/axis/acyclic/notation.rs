@@ -26,32 +26,6 @@ pub trait Notation: Debug + Send + Sync {
     /// The raw value of `text` for `address`.
     fn value(&self, address: &str, text: &str) -> Result<u64, NotationError>;
 
-    /// The unit in which [`show`](Self::show) gives a value of `address`, and the count of this decimal number of it.
-    /// `None`: it has none.
-    fn in_unit(&self, _address: &str, _number: &str) -> Option<(&'static str, Option<i64>)> {
-        None
-    }
-
-    /// The raw value of `text` for `address`: as of [`value`](Self::value), or a number with its unit, `1500.0 rpm`.
-    fn meant(&self, address: &str, text: &str) -> Result<u64, NotationError> {
-        let end = text.find(|c: char| !c.is_ascii_digit() && !['-', '.'].contains(&c)).unwrap_or(text.len());
-        let (number, given) = text.split_at(end);
-        let is_number = number.contains(|c: char| c.is_ascii_digit()) && !text.starts_with("0x");
-        let Some((unit, count)) = self.in_unit(address, number).filter(|_| is_number && !given.is_empty())
-        else {
-            return self.value(address, text);
-        };
-        match count.filter(|_| given.trim_start() == unit) {
-            Some(count) => self.value(address, &count.to_string()),
-            None => Err(NotationError::Value {
-                value: text.to_owned(),
-                form: format!(
-                    "a number in {unit}, like 1.0{unit}, or a whole number of counts without a unit"
-                ),
-            }),
-        }
-    }
-
     /// The raw value of `address` as a number in its own type, if the type is known.
     fn number(&self, address: &str, raw: u64) -> i64;
 
@@ -329,7 +303,7 @@ impl Access<'_> {
     /// Writes a parameter from its text.
     pub fn write(&self, address: &str, text: &str) -> Result<u64, ParameterError> {
         let request = Request::write(self.drive, address, text.to_owned());
-        let raw = self.notation.meant(address, text).map_err(|error| request.wrong(error))?;
+        let raw = self.notation.value(address, text).map_err(|error| request.wrong(error))?;
         let calls = match self.notation.write_long(address, text) {
             Some(calls) => calls,
             None => vec![self.notation.write(address, raw).map_err(|error| request.wrong(error))?],
@@ -566,14 +540,6 @@ pub fn count(text: &str, decimals: u32) -> Option<i64> {
     }
     let number: i64 = format!("{whole}{part}").parse().ok()?;
     number.checked_mul(10_i64.pow(decimals - places))
-}
-
-/// The same for a number in its unit, with a point or without.
-pub fn count_in_unit(number: &str, decimals: u32) -> Option<i64> {
-    match decimals > 0 && !number.contains('.') {
-        true => count(&format!("{number}.0"), decimals),
-        false => count(number, decimals),
-    }
 }
 
 #[cfg(test)]
