@@ -51,6 +51,9 @@ pub(super) const INPUT_ONLY: &str = "it is of version v1, which has no output as
      reads, and no command reaches it; set \
      version = \"v1\", or use a drive of version v2";
 
+/// What answers something else than the request.
+const STRAY: &str = "look whether another device or a gateway has its address, and at its firmware";
+
 /// The opening was refused.
 pub(super) fn refused(status: &Status, pause_ns: u64) -> String {
     format!(
@@ -62,7 +65,11 @@ pub(super) fn refused(status: &Status, pause_ns: u64) -> String {
 
 /// The answer to the opening cannot be used.
 pub(super) fn unusable(why: &ConnectionError, pause_ns: u64) -> String {
-    format!("the drive opens the connection, but {why}; tried again after {}", Ns(pause_ns))
+    let remedy = match why {
+        ConnectionError::Interval => "set `divisor` and `input_rpi` to intervals that it has",
+        _ => STRAY,
+    };
+    format!("the drive opens the connection, but {why}: {remedy}; tried again after {}", Ns(pause_ns))
 }
 
 /// The drive's own packets would come too rarely.
@@ -90,7 +97,10 @@ pub(super) fn no_group(why: &str) -> String {
 pub(super) fn silent(what: &str, waited_ns: u64, unmatched: u64) -> String {
     let dropped = match unmatched {
         0 => String::new(),
-        count => format!("; {count} messages that answer no request were dropped"),
+        count => format!(
+            "; {count} messages with the session, sender context or sequence of no request were dropped: \
+             {STRAY}"
+        ),
     };
     format!("the drive does not answer {what} within {}{dropped}", Ns(waited_ns))
 }

@@ -207,11 +207,12 @@ fn an_opening_that_is_not_answered_is_closed_and_made_anew() {
 #[test]
 fn an_answer_of_no_use_is_closed_and_the_note_says_why() {
     let with_api = |api: &str| OPENED.replace("10 27 00 00 10 27 00 00", &format!("10 27 00 00 {api}"));
-    let but = "the drive opens the connection, but";
+    let never = "answered an interval of 0: set `divisor` and `input_rpi` to intervals that it has";
+    let short = "the answer is incomplete: look whether another device or a gateway has its address";
     // 10 ms were requested, and a packet counts for 20: 20 ms are taken, 20.001 are not.
     let rare = "every 20.001 ms only, and a packet counts for 20 ms: raise `fresh_within`";
     for (answer, says) in
-        [(with_api("00 00 00 00"), but), (OPENED[..60].to_owned(), but), (with_api("21 4E 00 00"), rare)]
+        [(with_api("00 00 00 00"), never), (OPENED[..60].to_owned(), short), (with_api("21 4E 00 00"), rare)]
     {
         let mut bench = Bench::opening();
         bench.answer(&answer);
@@ -343,7 +344,9 @@ fn a_session_that_is_refused_not_answered_or_no_session_ends_the_connection() {
         assert_eq!(bench.state, HandshakeState::More);
         bench.pass(2 * LOOK_NS);
         assert!(bench.failed().contains(words), "{}", bench.failed());
-        assert!(bench.failed().ends_with("within 1 s; 1 messages that answer no request were dropped"));
+        let dropped = "within 1 s; 1 messages with the session, sender context or sequence of no request were \
+                       dropped: look whether another device or a gateway has its address, and at its firmware";
+        assert!(bench.failed().ends_with(dropped), "{}", bench.failed());
     }
 }
 
