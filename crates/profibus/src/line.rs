@@ -229,6 +229,11 @@ impl Line {
         !matches!(self.timing.state, State::Closed | State::Listening(_) | State::Claiming(_))
     }
 
+    /// The adapter returns what is sent, although nobody has said so.
+    pub(super) fn returns(&self) -> bool {
+        self.returns && !self.echo
+    }
+
     /// All that has arrived was handed out.
     #[inline]
     pub(super) fn is_read(&self) -> bool {

@@ -82,13 +82,16 @@ struct Shared {
     drives: Vec<Drive>,
     /// That of the wire: another master has it, it is noisy, or none.
     wire: AtomicCell<Note>,
+    /// The adapter returns what is sent, and nobody has said so.
+    returns: AtomicCell<bool>,
 }
 
 impl WireNotes {
     pub(super) fn new(device: &str, own: u8, drives: Vec<Known>, port: LinkNotes) -> WireNotes {
         let drive = |known| Drive { known, note: AtomicCell::default(), wanted: Default::default() };
         let drives = drives.into_iter().map(drive).collect();
-        let shared = Shared { device: device.to_owned(), own, drives, wire: AtomicCell::default() };
+        let (wire, returns) = (AtomicCell::default(), AtomicCell::default());
+        let shared = Shared { device: device.to_owned(), own, drives, wire, returns };
         WireNotes { shared: Arc::new(shared), port }
     }
 
@@ -113,12 +116,20 @@ impl WireNotes {
         self.shared.wire.store(master.map_or(Note::None, Note::Locked));
     }
 
+    /// The adapter returns what is sent, and nobody has said so.
+    pub(super) fn set_returns(&self) {
+        self.shared.returns.store(true);
+    }
+
     /// The wire is never silent for long enough to be claimed.
     pub(super) fn set_noisy(&self) {
         // Another master says more.
         let _ = self.shared.wire.compare_exchange(Note::None, Note::Noisy);
     }
 }
+
+/// Behind what is known of a drive.
+const RETURNS: &str = "; the adapter returns what is sent: set echo = true";
 
 /// A drive refuses its configuration, and wants one of so many identifier bytes, of which these are the first.
 fn refused(configuration: &[u8], wanted: &[u8], wants: usize) -> String {
@@ -153,10 +164,13 @@ impl bus::Notes for WireNotes {
         let device = &self.shared.device;
         match self.shared.wire.load() {
             Note::Locked(master) => {
-                let own = if master == self.shared.own { " as this one" } else { "" };
+                let (own, echo) = match master == self.shared.own {
+                    true => (" as this one", "; or, if the adapter returns what is sent, set echo = true"),
+                    false => ("", ""),
+                };
                 return Some(format!(
                     "another master, address {master}{own}, sends on {device}: end it, or look where the \
-                     cable leads"
+                     cable leads{echo}"
                 ));
             }
             Note::Noisy => {
@@ -173,7 +187,8 @@ impl bus::Notes for WireNotes {
             Note::None | Note::Unwatched | Note::Noisy => return None,
             Note::Absent => format!(
                 "nobody answers at address {address} on {device}: look at its power, its cable and \
-                 terminators, its address and the rate"
+                 terminators, its address and the rate{}",
+                if self.shared.returns.load() { RETURNS } else { "" }
             ),
             Note::Ident(found) => format!(
                 "the slave at address {address} has ident number {found:#06x}, not {ident:#06x}: look \
@@ -211,12 +226,20 @@ impl bus::Notes for WireNotes {
         let is_absent = |drive: &Drive| drive.note.load() == Note::Absent;
         self.shared.drives.get(index).is_some_and(is_absent)
             && self.shared.wire.load() == Note::None
+            && !self.shared.returns.load()
             && self.port.get(0).is_none()
     }
 
     fn remark(&self, index: usize) -> Option<String> {
         let place = &self.shared.drives.get(index)?.note;
         let why = "its diagnosis does not report its watchdog as on, although it was set: it is not enabled";
-        (place.load() == Note::Unwatched).then(|| why.to_owned())
+        let unwatched = (place.load() == Note::Unwatched).then(|| why.to_owned());
+        // Of the wire: with the first drive.
+        let returns = index == 0 && self.shared.returns.load();
+        let device = &self.shared.device;
+        unwatched.or_else(|| {
+            returns
+                .then(|| format!("the adapter of its wire, {device}, returns what is sent: set echo = true"))
+        })
     }
 }

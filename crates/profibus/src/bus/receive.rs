@@ -111,6 +111,8 @@ impl ProfibusBus {
         };
         let Some(counters) = slots.get_mut(place).map(|slot| &mut slot.counters) else { return };
         match other {
+            Other::Own if self.line.returns() => self.notes.set_returns(),
+            Other::Own => {}
             Other::Malformed { why, expected: true } => {
                 counters.malformed += 1;
                 Own::of(&why).count(counters);

@@ -64,6 +64,8 @@ pub(in super::super) enum Other {
     Malformed { why: Malformed, expected: bool },
     /// A telegram of the master at this address.
     Master { address: u8, sign: Sign },
+    /// An own telegram, which the adapter returns.
+    Own,
 }
 
 /// Why a telegram answers nothing.

@@ -119,13 +119,9 @@ impl Line {
             // With the own address as its sender: from an adapter that returns it, or of a master with the same one.
             Err(Other::Master { address, sign }) if address == self.address => {
                 self.returns |= at <= self.known_at;
-                let state = self.timing.state;
-                let is_master = matches!(state, State::Listening(_)) || !self.echo && !self.returns;
-                Heard::Other(match state {
-                    _ if is_master => Other::Master { address, sign },
-                    State::Waiting => Other::Unrelated(Unrelated::Kind, None),
-                    _ => Other::Unrelated(Unrelated::Late, None),
-                })
+                let is_listening = matches!(self.timing.state, State::Listening(_));
+                let is_own = !is_listening && (self.echo || self.returns);
+                Heard::Other(if is_own { Other::Own } else { Other::Master { address, sign } })
             }
             // A station that is no slave answers a search only.
             Err(Other::Master { address, sign: Sign::Answer })

@@ -248,7 +248,7 @@ fn what_comes_from_others_or_of_another_kind_answers_nothing() {
         ((2, 8, 0x08), unrelated(Unrelated::Turn, Some(8))),
         ((3, 7, 0x08), unrelated(Unrelated::Station, Some(7))),
         ((2, 7, 0x09), unrelated(Unrelated::Kind, Some(7))),
-        ((7, 2, 0x7D), unrelated(Unrelated::Kind, None)),
+        ((7, 2, 0x7D), Some(Heard::Other(Other::Own))),
         ((7, 4, 0x7D), Some(Heard::Other(Other::Master { address: 4, sign: Sign::Request }))),
         ((2, 7, 0x38), Some(Heard::Other(Other::Master { address: 7, sign: Sign::Request }))),
     ] {
@@ -373,6 +373,6 @@ fn another_master_with_the_own_address_is_told_from_an_adapter_that_returns_what
     for later in [0, 2_000 * MS] {
         rig.now = rig.now + later;
         rig.arrive(&TOKEN);
-        assert_eq!(rig.heard(), Some(Heard::Other(Other::Unrelated(Unrelated::Kind, None))));
+        assert_eq!(rig.heard(), Some(Heard::Other(Other::Own)));
     }
 }
