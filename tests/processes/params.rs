@@ -29,8 +29,8 @@ fn every_value_of_a_parameter_is_read_under_every_name_and_a_refusal_comes_with_
         ("monitor-source-1.min", "0 (0x0)"),
         ("20A8h.max", "65535 (0xFFFF)"),
         ("0x20A8.default", "7695 (0x1E0F)"),
-        ("predefined-velocity", "1000000 (0xF4240) = 1000 mm/s"),
-        ("core-temperature", "400 (0x190) = 40 C"),
+        ("predefined-velocity", "1000 mm/s (raw 1000000, 0xF4240)"),
+        ("core-temperature", "40 C (raw 400, 0x190)"),
     ] {
         let ended = ask("param get", &config, &format!("d0 {address}"));
         assert_eq!(
@@ -40,7 +40,7 @@ fn every_value_of_a_parameter_is_read_under_every_name_and_a_refusal_comes_with_
     }
     let said = ask("param get", &config, "d0 minimum-position --json").json();
     let raw = -50_000_i32 as u32;
-    let text = "-50000 (0xFFFF3CB0) = -5 mm";
+    let text = "-5 mm (raw -50000, 0xFFFF3CB0)";
     assert_eq!(
         said,
         json!({ "drive": "d0", "address": "minimum-position", "raw": raw, "value": -50_000, "text": text })
@@ -66,12 +66,16 @@ fn what_is_written_holds_as_long_as_its_memory_or_until_the_defaults_are_set() {
     let set = |words: &str| value(&ask("param set", &config, &format!("d0 {words} --json")), "value");
 
     let was = get("predefined-deceleration");
-    let ended = ask("param set", &config, "d0 predefined-velocity 123456");
-    assert_eq!(ended.expect(0).out, "d0 predefined-velocity: 123456 (0x1E240) = 123.456 mm/s\n");
-    assert_eq!(set("minimum-position -70000"), -70_000);
+    let ended = ask("param set", &config, "d0 predefined-velocity 123.456");
+    assert_eq!(ended.expect(0).out, "d0 predefined-velocity: 123.456 mm/s (raw 123456, 0x1E240)\n");
+    // What it has said is what it takes, with the unit and without; counts are taken on request.
+    for text in ["123.456", "123456 --raw", "0x1E240", "123.456mm/s"] {
+        assert_eq!(set(&format!("predefined-velocity {text}")), 123_456, "{text}");
+    }
+    assert_eq!(set("minimum-position -7"), -70_000);
     assert_eq!(set("maximum-position 0x000F4240"), 1_000_000);
-    assert_eq!(set("predefined-acceleration.rom 777"), 777);
-    assert_eq!(set("predefined-deceleration.both 888"), 888);
+    assert_eq!(set("predefined-acceleration.rom 7.77"), 777);
+    assert_eq!(set("predefined-deceleration.both 888 --raw"), 888);
     // What is in flash is in use after the next start.
     assert_eq!(get("predefined-velocity"), 123_456);
     assert_eq!(get("predefined-velocity.rom"), 1_000_000);
@@ -135,9 +139,9 @@ fn the_lists_say_what_there_is_how_it_is_used_and_what_was_changed() {
     let printed = list("--from 20A8h --values").expect(0).out.clone();
     assert!(printed.contains("0x20AB  rw rw live   7505 (0x1D51)  monitor-source-4"), "{printed}");
 
-    ask("param set", &config, "d0 predefined-velocity.rom 6").expect(0);
+    ask("param set", &config, "d0 predefined-velocity.rom 0.006").expect(0);
     let changed = list("--modified").expect(0).out.clone();
-    assert!(changed.contains("0x14BE  6 (0x6) = 0.006 mm/s  predefined-velocity"), "{changed}");
+    assert!(changed.contains("0x14BE  0.006 mm/s (raw 6, 0x6)  predefined-velocity"), "{changed}");
     let modified = rows("--modified --from 0x14BE");
     assert_eq!((&modified[0]["value"], &modified[0]["usage"]), (&json!(6), &Value::Null));
     list("--modified --values").refused(&["--modified", "--values", "--help"]);
@@ -189,8 +193,10 @@ fn mistakes_of_the_asker_are_one_line_and_no_telegram() {
             "0x20A8.min 1",
             ["write 0x20A8.min: ", "cannot be written; write to the UPID itself, .rom or .both"],
         ),
-        ("home-position 1.5", ["drive d0: write home-position", "-2147483648 ... 2147483647"]),
-        ("home-position 12mm", ["12mm", "a whole number"]),
+        ("home-position 1.5 --raw", ["drive d0: write home-position", "-2147483648 ... 2147483647"]),
+        ("home-position 12rev", ["12rev is not a value of this parameter", "a value in mm"]),
+        ("home-position 0.00001", ["0.00001", "up to 4 decimals"]),
+        ("0x3100 5mm", ["5mm", "a whole number"]),
         ("0x3100 99999999999999999999", ["99999999999999999999", "or its bits as 0x..."]),
     ] {
         set(&format!("d0 {rest}")).refused(&parts);
@@ -198,6 +204,7 @@ fn mistakes_of_the_asker_are_one_line_and_no_telegram() {
     for (rest, range) in [
         ("monitor-source-1 65536", "0 ... 65535"),
         ("monitor-source-1 -1", "0 ... 65535"),
+        ("home-position 300000", "-214748.3648 mm ... 214748.3647 mm"),
         ("0x3100 0x1FFFFFFFF", "-2147483648 ... 4294967295"),
     ] {
         let (address, value) = rest.split_once(' ').unwrap();
@@ -304,7 +311,7 @@ fn the_help_says_how_to_write_everything() {
     for (words, parts) in [
         ("param", &["get", "set", "list", "Reads a parameter"][..]),
         ("param get", &["0x20A8.rom", ".default", "--json", "<CONFIG> <DRIVE> <ADDRESS>"]),
-        ("param set", &["0x20A8.both", "<CONFIG> <DRIVE> <ADDRESS> <VALUE>", "0x...."]),
+        ("param set", &["0x20A8.both", "<CONFIG> <DRIVE> <ADDRESS> <VALUE>", "0x....", "--raw"]),
         ("param list", &["--modified", "--values", "--from <ADDRESS>"]),
         ("linmot", &["curve", "table", "errors", "restart", "software", "defaults"]),
         ("linmot curve get", &["--id <N>", "--force"]),

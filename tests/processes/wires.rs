@@ -88,8 +88,8 @@ fn unidrives_beside_a_linmot_come_are_asked_are_lost_and_come_back() {
         &missing,
         &[("x", "linudp-v2"), ("u", "modbus-tcp"), ("v", "modbus-tcp")],
         &[
-            ("set", "u 01.022 100.5", 0, &["u 01.022: 1005 (0x3ED) = 100.5 rpm\n"]),
-            ("set", "v 01.022 100.5", 0, &["v 01.022: 1005 (0x3ED) = 100.5 rpm\n"]),
+            ("set", "u 01.022 100.5rpm", 0, &["u 01.022: 100.5 rpm (raw 1005, 0x3ED)\n"]),
+            ("set", "v 01.022 100.5", 0, &["v 01.022: 100.5 rpm (raw 1005, 0x3ED)\n"]),
             ("get", "v preset-reference-2 --json", 0, &["\"raw\":1005", "\"value\":1005"]),
             (
                 "set",
@@ -273,7 +273,8 @@ fn moons_drives_come_are_asked_are_lost_and_come_back() {
         &format!("drive turret: not connected: refused: nobody listens at {}:44818", machine.ip(41)),
         &[("feeder", "ethernet-ip"), ("turret", "ethernet-ip")],
         &[
-            ("set", "feeder AC 600", 0, &[]),
+            ("set", "feeder AC 100", 0, &["feeder AC: 100 rev/s² (raw 600, 0x258)\n"]),
+            ("set", "feeder AC 600 --raw", 0, &["feeder AC: 100 rev/s² (raw 600, 0x258)\n"]),
             ("get", "feeder AC --json", 0, &["\"value\":600"]),
             ("set", "turret R:3 -600", 0, &[]),
             ("get", "turret R:3 --json", 0, &["\"value\":-600"]),
@@ -342,10 +343,10 @@ fn lenzes_come_are_asked_are_lost_and_come_back_and_the_run_says_what_the_wire_d
         &format!("drive infeed: not connected: nobody simulates the wire {device}: start `fieldbeat sim`"),
         &[("infeed", "profibus-dp"), ("outfeed", "profibus-dp")],
         &[
-            ("set", "infeed C0039/2 150000", 0, &[]),
+            ("set", "infeed C0039/2 15", 0, &["infeed C0039/2: 15.0000 Hz (raw 150000, 0x249F0)\n"]),
             ("get", "infeed C0039/2 --json", 0, &["\"raw\":150000"]),
             // As warm as the simulated drive is unless its configuration says otherwise.
-            ("get", "outfeed C0061", 0, &["430000 (0x68FB0) = 43.0000 °C"]),
+            ("get", "outfeed C0061", 0, &["43.0000 °C (raw 430000, 0x68FB0)"]),
             ("list", "outfeed", 0, &["C0039/2"]),
             ("set", "infeed C0061 1", 2, &["infeed", "the drive only reports this"]),
             ("get", "outfeed 12.5", 2, &["outfeed", "not an address of this drive"]),

@@ -60,10 +60,14 @@ struct Set {
     /// Unidrive, 0x6060:0 (with a type 0x6060:0.i8) of a drive on EtherCAT, AC or R:3 of a MOONS', C0012, C0039/2 (a
     /// subcode) or C0150.u16 of a Lenze, or a name.
     address: String,
-    /// A whole number, or its bits as 0x....; for a Unidrive, a MOONS' or a Lenze also a scaled value with a point,
-    /// 1500.0. Several values are those of the parameters of a Unidrive that follow one another, in one request.
+    /// In the unit in which `param get` shows it, with the unit or without: 1500, "1500 rpm"; of a parameter without
+    /// one a whole number. Or its bits as 0x...., or true and false. Several values are those of the parameters of a
+    /// Unidrive that follow one another, in one request.
     #[arg(required = true, allow_negative_numbers = true, value_name = "VALUE")]
     values: Vec<String>,
+    /// VALUE is a count, as sent on the wire.
+    #[arg(long)]
+    raw: bool,
     /// Print one JSON object, or an array of them for several values.
     #[arg(long)]
     json: bool,
@@ -109,6 +113,14 @@ impl Set {
         }
     }
 
+    /// The raw value that is meant.
+    fn count(&self, notation: &dyn Notation, address: &str, value: &str) -> Result<u64, NotationError> {
+        match self.raw {
+            true => notation.value(address, value),
+            false => notation.in_unit(address, value),
+        }
+    }
+
     /// Several parameters, in one request.
     fn set_several(&self, values: &[String], interrupt: &Interrupt) -> Result<(), Stop> {
         let mut raw = Vec::new();
@@ -116,7 +128,8 @@ impl Set {
             let block = notation.block(&self.address, values.len());
             let block = block.map_err(wrong(&self.drive, "write", &self.address))?;
             for (address, value) in block.addresses.iter().zip(values) {
-                raw.push(notation.value(address, value).map_err(wrong(&self.drive, "write", address))?);
+                let known = self.count(notation, address, value);
+                raw.push(known.map_err(wrong(&self.drive, "write", address))?);
             }
             Ok(())
         };
@@ -144,13 +157,16 @@ impl Set {
 
     fn set_one(&self, value: &str, interrupt: &Interrupt) -> Result<(), Stop> {
         let check = |notation: &dyn Notation| {
-            let call = notation.value(&self.address, value);
+            let call = self.count(notation, &self.address, value);
             let call = call.and_then(|raw| notation.write(&self.address, raw));
             call.map(drop).map_err(wrong(&self.drive, "write", &self.address))
         };
         let reach = Reach::open(&self.drive, check, interrupt)?;
         let notation = reach.notation();
-        let written = reach.access().write(&self.address, value);
+        let written = match self.raw {
+            true => reach.access().write_count(&self.address, value),
+            false => reach.access().write(&self.address, value),
+        };
         let written = written.map_err(|error| not_written(&reach, error))?;
         let mut values = Vec::new();
         for address in notation.read_back(&self.address) {
@@ -181,7 +197,10 @@ impl Set {
 /// What is no address and no number is a mistake of whoever wrote it; the rest is the drive's, or would be.
 fn failed(error: ParameterError) -> Stop {
     match error {
-        ParameterError::Notation { error: NotationError::Range { .. }, .. } => Stop::failed(error),
+        ParameterError::Notation {
+            error: NotationError::Range { .. } | NotationError::OutOfReach { .. },
+            ..
+        } => Stop::failed(error),
         ParameterError::Notation { .. } => Stop::usage(error),
         _ => Stop::failed(error),
     }

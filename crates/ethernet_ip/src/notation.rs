@@ -14,8 +14,8 @@
 //!
 //! | value | means |
 //! |---|---|
-//! | `600` | a count, as sent on the wire |
-//! | `100.0` | with a point: scaled, where the unit is known here, and rounded to a count; 600 of AC, which is in 1/6 rev/s² |
+//! | `100`, `100.0`, `100 rev/s²` | in the unit of the parameter, where that is known here, and rounded to a count; 600 of AC, which is in 1/6 rev/s² |
+//! | `600` | a count, as sent on the wire: of a parameter without a unit, and of any one by `--raw` |
 //! | `0x258` | the bits of a count |
 //! | `true`, `false` | 1, 0 |
 //! | `2L`, `2L/3R` | an input and its condition; two of them for FD |
@@ -32,7 +32,8 @@ use super::wire::assembly::IoCode;
 use super::wire::opcodes::{self, Opcode, Operand};
 use fieldbeat_core::axis::acyclic::long::{self, STORE};
 use fieldbeat_core::axis::acyclic::{
-    Call, CallError, Carrier, Integer, ListError, Listing, Notation, NotationError, Wanted, within,
+    Call, CallError, Carrier, Integer, ListError, Listing, Notation, NotationError, Quantity, Wanted, shown,
+    within,
 };
 
 use self::names::Scale;
@@ -252,7 +253,7 @@ impl Address {
         within(number, self.shape.range(), text, || self.form())
     }
 
-    /// A decimal number, scaled or not, or a word.
+    /// A decimal number, or a word.
     fn count(&self, text: &str) -> Option<i64> {
         match (text, self.shape) {
             ("true", _) => return Some(1),
@@ -270,14 +271,7 @@ impl Address {
             }
             _ => {}
         }
-        let Some((whole, part)) = text.split_once('.') else { return text.parse().ok() };
-        let Shape::Number { scale: Some(scale), .. } = self.shape else { return None };
-        let is_decimal = |text: &str| !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit());
-        if !is_decimal(whole.strip_prefix('-').unwrap_or(whole)) || !is_decimal(part) {
-            return None;
-        }
-        // Values out of range saturate, and are out of range.
-        text.parse::<f64>().ok().map(|value| (value * scale.per_unit).round() as i64)
+        text.parse().ok()
     }
 
     /// The correct form of a value.
@@ -288,13 +282,7 @@ impl Address {
             Shape::TwoIos => "two inputs and their conditions, like 2L/3R".to_owned(),
             Shape::Text => format!("up to {TEXT_MAX} characters of ASCII"),
             Shape::Octets => format!("1 to {} bytes of two digits each, like \"01 A0\"", long::MOST),
-            Shape::Number { scale, .. } => {
-                let whole = format!("a whole number, {low} ... {high}, or its bits as 0x...");
-                match scale {
-                    Some(Scale { unit, .. }) => format!("{whole}, or a value in {unit} with a point"),
-                    None => whole,
-                }
-            }
+            Shape::Number { .. } => format!("a whole number, {low} ... {high}, or its bits as 0x..."),
         }
     }
 
@@ -405,10 +393,9 @@ impl Notation for Addresses {
             return format!("{raw} (0x{raw:X})");
         };
         let (number, bits) = (shape.value(raw), shape.raw(raw as i64));
-        let plain = format!("{number} (0x{bits:X})");
         let io = |code: i64| IoCode::from_code(code as u16).map(|io| io.to_string());
         let means = match shape {
-            Shape::Number { scale, .. } => scale.map(|scale| scale.show(number)),
+            Shape::Number { scale, .. } => scale.map(|scale| scale.quantity().show(number)),
             Shape::Io => io(number),
             Shape::TwoIos => {
                 io(number).zip(io(number >> 16)).map(|(first, second)| format!("{first}/{second}"))
@@ -416,7 +403,12 @@ impl Notation for Addresses {
             Shape::Text => return text(&raw.to_le_bytes()),
             Shape::Octets => return long::octets(&raw.to_le_bytes()),
         };
-        means.map_or(plain.clone(), |means| format!("{plain} = {means}"))
+        shown(means, number, bits)
+    }
+
+    fn quantity(&self, address: &str) -> Option<Quantity> {
+        let Shape::Number { scale, .. } = Address::parse(address)?.shape else { return None };
+        scale.map(Scale::quantity)
     }
 
     fn reason(&self, status: u32) -> String {

@@ -6,7 +6,8 @@ use super::service::{ServiceError, Services};
 use super::upid::{Known, Type, Upid, Usage, Variant, address, call};
 use super::wire::{Refusal, RtcCommand};
 use fieldbeat_core::axis::acyclic::{
-    Access, Call, ListError, Listed, Listing, Notation, NotationError, Wanted, Watcher, go_on,
+    Access, Call, ListError, Listed, Listing, Notation, NotationError, Quantity, Wanted, Watcher, go_on,
+    shown,
 };
 
 const FORM: &str =
@@ -104,12 +105,17 @@ impl Notation for Upids {
                 let letters: String = letters.into_iter().filter(char::is_ascii_graphic).collect();
                 format!("\"{letters}\" (0x{raw:X})")
             }
-            Some(known) if known.unit.is_empty() => format!("{} (0x{raw:X})", known.kind.number(raw)),
             Some(known) => {
-                format!("{} (0x{raw:X}) = {} {}", known.kind.number(raw), known.value(raw), known.unit)
+                let means = (!known.unit.is_empty()).then(|| format!("{} {}", known.value(raw), known.unit));
+                shown(means, known.kind.number(raw), raw.into())
             }
-            None => format!("{raw} (0x{raw:X})"),
+            None => shown(None, raw.into(), raw.into()),
         }
+    }
+
+    fn quantity(&self, text: &str) -> Option<Quantity> {
+        let known = address(text).and_then(|(upid, _)| upid.known())?;
+        Some(known.quantity()).filter(|quantity| !quantity.unit.is_empty())
     }
 
     fn reason(&self, status: u32) -> String {
@@ -228,14 +234,33 @@ mod tests {
                 assert!(matches!(wrong, Err(NotationError::Value { .. })), "{address} {text}: {wrong:?}");
             }
         }
-        assert_eq!(Upids.show("home-position", 0xFFFF_FFFB), "-5 (0xFFFFFFFB) = -0.0005 mm");
+        for (address, text, raw) in [
+            ("home-position", "-0.0005", 0xFFFF_FFFB),
+            ("home-position", "-0.0005 mm", 0xFFFF_FFFB),
+            ("predefined-velocity", "250", 250_000),
+            ("predefined-velocity", "0x3D090", 250_000),
+            ("cam-enabled", "true", 1),
+            ("0x3000", "-1", 0xFFFF_FFFF),
+        ] {
+            assert_eq!(Upids.in_unit(address, text), Ok(raw), "{address} {text}");
+        }
+        for (address, text, part) in [
+            ("home-position", "5 rev", "write a value in mm"),
+            ("home-position", "0.00001", "up to 4 decimals"),
+            ("home-position", "300000", "214748.3647 mm"),
+            ("0x3000", "5 mm", "a whole number"),
+        ] {
+            let wrong = Upids.in_unit(address, text).unwrap_err().to_string();
+            assert!(wrong.contains(part), "{wrong}");
+        }
+        assert_eq!(Upids.show("home-position", 0xFFFF_FFFB), "-0.0005 mm (raw -5, 0xFFFFFFFB)");
         assert_eq!(Upids.show("0x20A8", 0x1E0F), "7695 (0x1E0F)");
         assert_eq!(Upids.show("article-number", 0x4C45_4946), "\"FIEL\" (0x4C454946)");
         assert_eq!(Upids.number("core-temperature", 0xFFFE), -2);
         for (raw, celsius) in [(0, -50.0), (51, 0.0), (82, 30.39), (255, 200.0), (0x7_0052, 30.39)] {
             assert_eq!(Upid(0x1BF3).known().map(|known| known.value(raw)), Some(celsius), "{raw}");
         }
-        assert_eq!(Upids.show("motor-temperature", 82), "82 (0x52) = 30.39 C");
+        assert_eq!(Upids.show("motor-temperature", 82), "30.39 C (raw 82, 0x52)");
         assert!(Upids.reason(0xC0).contains("no such UPID"));
     }
 

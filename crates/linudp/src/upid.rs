@@ -13,7 +13,7 @@
 pub use super::motion::Upid;
 use super::rtc;
 use super::wire::RtcCommand;
-use fieldbeat_core::axis::acyclic::{Call, Commanding};
+use fieldbeat_core::axis::acyclic::{self, Call, Commanding, Quantity};
 
 /// The calls that command a drive.
 pub(super) fn commanding() -> Commanding {
@@ -194,6 +194,15 @@ pub struct Known {
 }
 
 impl Known {
+    /// What its counts measure.
+    pub fn quantity(&self) -> Quantity {
+        let scale = match self.scale {
+            Scale::Decimals(decimals) => acyclic::Scale::Decimals(decimals),
+            Scale::MotorTemperature => acyclic::Scale::Linear { per_unit: 255.0 / 250.0, zero: -50.0 },
+        };
+        Quantity { scale, unit: self.unit }
+    }
+
     /// The scaled value of a raw one.
     pub fn value(&self, raw: u32) -> f64 {
         let number = self.kind.number(raw) as f64;

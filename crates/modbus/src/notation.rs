@@ -8,8 +8,8 @@
 //!
 //! | value | means |
 //! |---|---|
-//! | `15000` | a count, as sent on the wire, whatever the decimals of the parameter |
-//! | `1500.0` | with a point: scaled, if decimals of the parameter are known here; 15000 of 01.021 |
+//! | `1500`, `1500.0`, `1500 rpm` | in the unit of the parameter, if that is known here; 15000 of 01.021 |
+//! | `15000` | a count, as sent on the wire: of a parameter without a unit, and of any one by `--raw` |
 //! | `0x3A98` | the bits of a count |
 //! | `true`, `false` | 1, 0 |
 //!
@@ -21,12 +21,12 @@
 
 mod list;
 
-use super::parameter::{Known, Parameter, SLOT_MAX, Width, catalogue};
+use super::parameter::{Parameter, SLOT_MAX, Width, catalogue};
 use super::wire::{ExceptionCode, REGISTERS_MAX};
 use fieldbeat_core::axis::acyclic::long;
 pub use fieldbeat_core::axis::acyclic::long::{READ, WRITE};
 use fieldbeat_core::axis::acyclic::{
-    Block, Call, ListError, Listing, Notation, NotationError, Wanted, bits, count, within,
+    Block, Call, ListError, Listing, Notation, NotationError, Quantity, Wanted, bits, count, shown, within,
 };
 
 /// A status above those of the drive: it wrote fewer registers than it received, its silent refusal (Commander SE
@@ -179,17 +179,16 @@ impl Notation for Parameters {
     fn value(&self, address: &str, text: &str) -> Result<u64, NotationError> {
         let target = Parameters::find(address)?;
         let known = target.parameter.known();
-        let decimals = known.map_or(0, |known| known.decimals);
         let number = match text.strip_prefix("0x") {
             Some(digits) => bits(digits).map(|raw| target.of_bits(raw)),
-            None => count(text, decimals),
+            None => count(text),
         };
         let (low, high) = match known {
             Some(known) => target.width.range(known.signed),
             // Of whatever sign: the bits are the same.
             None => (target.width.range(true).0, target.width.range(false).1),
         };
-        let number = within(number, (low, high), text, || form(decimals, low, high))?;
+        let number = within(number, (low, high), text, || form(low, high))?;
         Ok(target.width.raw(number).into())
     }
 
@@ -204,13 +203,12 @@ impl Notation for Parameters {
         let Some(target) = Target::parse(address) else { return format!("{raw} (0x{raw:X})") };
         let raw = target.width.raw(i64::from(raw as u32));
         let number = target.number(raw);
-        let plain = format!("{number} (0x{raw:X})");
-        match target.parameter.known() {
-            Some(known) if known.decimals > 0 || !known.unit.is_empty() => {
-                format!("{plain} = {}", scaled(known, number))
-            }
-            _ => plain,
-        }
+        shown(self.quantity(address).map(|quantity| quantity.show(number)), number, raw.into())
+    }
+
+    fn quantity(&self, address: &str) -> Option<Quantity> {
+        let known = Target::parse(address)?.parameter.known()?;
+        Quantity::decimals(known.decimals, known.unit)
     }
 
     fn reason(&self, status: u32) -> String {
@@ -259,19 +257,9 @@ impl Notation for Parameters {
     }
 }
 
-/// The scaled value with all its decimals, exactly, and its unit.
-fn scaled(known: &Known, number: i64) -> String {
-    let value = format!("{:.*}", known.decimals as usize, known.value(number));
-    format!("{value} {}", known.unit).trim_end().to_owned()
-}
-
 /// The correct form.
-fn form(decimals: u32, low: i64, high: i64) -> String {
-    let whole = format!("a whole number, {low} ... {high}, its bits as 0x...");
-    match decimals {
-        0 => format!("{whole}, true or false"),
-        _ => format!("{whole}, or a scaled one with a point and up to {decimals} decimals"),
-    }
+fn form(low: i64, high: i64) -> String {
+    format!("a whole number, {low} ... {high}, its bits as 0x..., true or false")
 }
 
 #[cfg(test)]

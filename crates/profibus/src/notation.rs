@@ -9,8 +9,8 @@
 //!
 //! | value | means |
 //! |---|---|
-//! | `430000` | a count, as sent on the wire |
-//! | `43.0` | with a point: scaled; 430000 of C0061. A code that is not in the `catalogue` is taken for one of 32 bits with four decimals, one with a kind behind it has none |
+//! | `43`, `43.0`, `43 °C` | in the unit of the code: 430000 of C0061. A code that is not in the `catalogue` is taken for one of 32 bits with four decimals, one with a kind behind it has none |
+//! | `430000` | a count, as sent on the wire: of a code without decimals, and of any one by `--raw` |
 //! | `0x68FB0` | the bits of a count |
 //! | `true`, `false` | 1, 0 |
 //! | `"01 A0"` | bytes of a record |
@@ -20,13 +20,13 @@
 
 mod list;
 
-use super::catalogue::Known;
+use super::catalogue::{DECIMALS, Known};
 use super::target::{Kind, Parameter, Target, reason};
 use super::wire::msac1::Record;
 use fieldbeat_core::axis::acyclic::long::{self, READ, STORE, WRITE};
 use fieldbeat_core::axis::acyclic::{
-    Call, CallError, Carrier, Integer, ListError, Listing, Notation, NotationError, Series, Wanted, bits,
-    count, within,
+    Call, CallError, Carrier, Integer, ListError, Listing, Notation, NotationError, Quantity, Series, Wanted,
+    bits, count, in_unit, shown, within,
 };
 
 const FORM: &str = "C0061 (a code), C0039/2 (with a subcode), C0150.u16 (with a kind: u8, i8, u16, i16, u32, \
@@ -79,21 +79,22 @@ impl Target {
     }
 
     /// A number as people read it, with these decimals and this unit.
-    fn shown(self, raw: u64, (decimals, unit): (u32, &str)) -> String {
+    fn shown(self, raw: u64, (decimals, unit): (u32, &'static str)) -> String {
         let Some(integer) = self.integer() else { return self.text(&raw.to_le_bytes()) };
         let number = integer.number(raw);
-        let plain = format!("{number} (0x{:X})", integer.raw(number));
-        if (decimals, unit) == (0, "") {
-            return plain;
-        }
-        let value = number as f64 / 10_f64.powi(decimals as i32);
-        format!("{plain} = {value:.*} {unit}", decimals as usize).trim_end().to_owned()
+        let means = Quantity::decimals(decimals, unit).map(|quantity| quantity.show(number));
+        shown(means, number, integer.raw(number))
     }
 
     /// The same of a value that the drive has said to be of `read`: in 32 bits it is scaled as by this address.
     fn shown_as(self, read: Target, raw: u64) -> String {
         let in_32 = read.integer().is_some_and(|integer| integer.bits == 32);
         read.shown(raw, if in_32 { self.scale() } else { read.scale() })
+    }
+
+    /// Its type and its decimals are those of most codes.
+    fn is_assumed(self) -> bool {
+        matches!(self, Target::Parameter(Parameter { kind: Kind::Own, .. })) && self.known().is_none()
     }
 
     fn known(self) -> Option<&'static Known> {
@@ -129,11 +130,7 @@ fn form(target: Target) -> String {
         };
     };
     let (low, high) = integer.range();
-    let whole = format!("a whole number, {low} ... {high}, or its bits as 0x...");
-    match target.scale() {
-        (0, _) => whole,
-        (decimals, _) => format!("{whole}, or a scaled one with a point and up to {decimals} decimals"),
-    }
+    format!("a whole number, {low} ... {high}, or its bits as 0x...")
 }
 
 fn find(text: &str) -> Result<Target, NotationError> {
@@ -178,7 +175,7 @@ impl Notation for Codes {
         let range = integer.range();
         let number = match text.strip_prefix("0x") {
             Some(digits) => bits(digits).map(|raw| integer.number_within(raw, range).unwrap_or(i64::MAX)),
-            None => count(text, target.scale().0),
+            None => count(text),
         };
         within(number, range, text, || form(target)).map(|number| integer.raw(number))
     }
@@ -191,6 +188,27 @@ impl Notation for Codes {
     fn show(&self, address: &str, raw: u64) -> String {
         let Some(target) = Target::parse(address) else { return format!("{raw} (0x{raw:X})") };
         target.shown(raw, target.scale())
+    }
+
+    fn quantity(&self, address: &str) -> Option<Quantity> {
+        let target = Target::parse(address)?;
+        target.integer()?;
+        let (decimals, unit) = target.scale();
+        Quantity::decimals(decimals, unit)
+    }
+
+    fn in_unit(&self, address: &str, text: &str) -> Result<u64, NotationError> {
+        let target = writable(address)?;
+        let is_plain = count(text).is_some() && !matches!(text, "true" | "false");
+        if is_plain && target.is_assumed() {
+            // The drive may have it in 16 bits, and without decimals.
+            let form = format!(
+                "its kind behind the code ({address}.u16), {text}.0 for 32 bits with {DECIMALS} decimals, or a \
+                 count with --raw: this code is not known here"
+            );
+            return Err(NotationError::Value { value: text.to_owned(), form });
+        }
+        in_unit(self, address, text)
     }
 
     fn reason(&self, status: u32) -> String {

@@ -126,6 +126,13 @@ fn notation(text: &str) {
     let number = Parameters.number(address, raw);
     assert_eq!(Parameters.value(address, &number.to_string()), Ok(raw), "its number says the same");
     assert_eq!(Parameters.value(address, &format!("0x{raw:X}")), Ok(raw), "its bits say the same");
-    assert!(Parameters.show(address, raw).starts_with(&format!("{number} (0x{raw:X})")));
+    let shown = Parameters.show(address, raw);
+    assert!(
+        shown.ends_with(&format!("{number} (0x{raw:X})"))
+            || shown.ends_with(&format!("(raw {number}, 0x{raw:X})"))
+    );
+    if let Some((means, _)) = shown.split_once(" (raw ") {
+        assert_eq!(Parameters.in_unit(address, means), Ok(raw), "what is shown says the same");
+    }
     assert!(Parameters.is_same(address, raw, raw));
 }

@@ -7,7 +7,7 @@ use crate::wire::mailbox::MailboxError;
 use crate::wire::sdo::AbortCode;
 use fieldbeat_core::axis::acyclic::{
     Access, Call, CallError, Carrier, ListError, Listed, Listing, Notation, NotationError, ParameterError,
-    Wanted, Watcher, bits, go_on, within,
+    Quantity, Wanted, Watcher, bits, go_on, shown, within,
 };
 
 const FORM: &str = "0x6041:0, index and subindex, 0x1C12:ca for all subindices, or a name; .u16 behind it \
@@ -101,7 +101,7 @@ impl Notation for Objects {
         if target.is_some_and(|target| target.complete) {
             return long::octets(&raw.to_le_bytes());
         }
-        let Some((target, kind)) = target.and_then(|target| Some((target, target.kind?))) else {
+        let Some(kind) = target.and_then(|target| target.kind) else {
             return format!("{raw} (0x{raw:X})");
         };
         match kind {
@@ -110,11 +110,14 @@ impl Notation for Objects {
             _ => {}
         }
         let raw = kind.raw(raw as i64);
-        let plain = format!("{} (0x{raw:X})", kind.number(raw));
-        match target.object.known().map_or("", |known| known.unit) {
-            "" => plain,
-            unit => format!("{plain} {unit}"),
-        }
+        let number = kind.number(raw);
+        shown(self.quantity(address).map(|quantity| quantity.show(number)), number, raw)
+    }
+
+    fn quantity(&self, address: &str) -> Option<Quantity> {
+        let target = Target::parse(address).filter(|target| !target.complete)?;
+        target.kind.filter(|kind| !kind.is_string())?;
+        Quantity::decimals(0, target.object.known()?.unit)
     }
 
     fn reason(&self, status: u32) -> String {

@@ -6,6 +6,8 @@
 //! the process data (assumed).
 
 use super::Shape;
+use fieldbeat_core::axis::acyclic::{self, Quantity};
+
 use crate::plan::{ACCELERATION_PER_REV, MOST_PER_REV, VELOCITY_PER_REV};
 
 /// How counts become a unit.
@@ -25,10 +27,10 @@ const TEMPERATURE: Scale = Scale { per_unit: 10.0, unit: "°C" };
 const STEPS: Scale = Scale { per_unit: 0.5, unit: "steps/rev" };
 
 impl Scale {
-    /// A count in the unit, to four decimals.
-    pub(super) fn show(self, count: i64) -> String {
-        let text = format!("{:.4}", count as f64 / self.per_unit);
-        format!("{} {}", text.trim_end_matches('0').trim_end_matches('.'), self.unit)
+    /// What its counts measure.
+    pub(super) fn quantity(self) -> Quantity {
+        let Scale { per_unit, unit } = self;
+        Quantity { scale: acyclic::Scale::Linear { per_unit, zero: 0.0 }, unit }
     }
 }
 

@@ -61,27 +61,29 @@ fn addresses_are_what_they_say_and_the_list_has_all_of_them() {
 
 /// AC100 is 600, VE5 is 1200 (Host Command Reference): a reading of "10 rev/s/s" would be wrong by sixty.
 #[test]
-fn scaled_values_and_counts_are_the_same() {
+fn a_value_in_its_unit_is_the_count_that_is_shown_with_it() {
     for (address, text, raw, shown) in [
-        ("AC", "100.0", 600, "600 (0x258) = 100 rev/s²"),
-        ("AC", "600", 600, "600 (0x258) = 100 rev/s²"),
-        ("VE", "5.0", 1_200, "1200 (0x4B0) = 5 rev/s"),
-        ("VE", "0x4B0", 1_200, "1200 (0x4B0) = 5 rev/s"),
-        ("DE.flash", "0.17", 1, "1 (0x1) = 0.1667 rev/s²"),
-        ("EG", "20000.0", 10_000, "10000 (0x2710) = 20000 steps/rev"),
-        ("GC", "-1.5", 0xFF6A, "-150 (0xFF6A) = -1.5 A"),
-        ("R:V", "-1.0", 0xFFFF_FF10, "-240 (0xFFFFFF10) = -1 rev/s"),
+        ("AC", "100.0", 600, "100 rev/s² (raw 600, 0x258)"),
+        ("AC", "100 rev/s2", 600, "100 rev/s² (raw 600, 0x258)"),
+        ("VE", "5.0", 1_200, "5 rev/s (raw 1200, 0x4B0)"),
+        ("VE", "0x4B0", 1_200, "5 rev/s (raw 1200, 0x4B0)"),
+        ("DE.flash", "0.17", 1, "0.1667 rev/s² (raw 1, 0x1)"),
+        ("EG", "20000.0", 10_000, "20000 steps/rev (raw 10000, 0x2710)"),
+        ("GC", "-1.5", 0xFF6A, "-1.5 A (raw -150, 0xFF6A)"),
+        ("R:V", "-1.0", 0xFFFF_FF10, "-1 rev/s (raw -240, 0xFFFFFF10)"),
         ("R:3", "-1", 0xFFFF_FFFF, "-1 (0xFFFFFFFF)"),
         ("R:3", "0xFFFFFFFF", 0xFFFF_FFFF, "-1 (0xFFFFFFFF)"),
-        ("SCL:AC", "100.0", 600, "600 (0x258) = 100 rev/s²"),
+        ("SCL:AC", "100.0", 600, "100 rev/s² (raw 600, 0x258)"),
         ("SCL:DI", "-5", -5_i64 as u64, "-5 (0xFFFFFFFFFFFFFFFB)"),
-        ("SCL:FS", "2R", 0x52B2, "21170 (0x52B2) = 2R"),
-        ("SCL:FD", "2L/3R", 0x52B3_4CB2, "1387482290 (0x52B34CB2) = 2L/3R"),
+        ("SCL:FS", "2R", 0x52B2, "2R (raw 21170, 0x52B2)"),
+        ("SCL:FD", "2L/3R", 0x52B3_4CB2, "2L/3R (raw 1387482290, 0x52B34CB2)"),
         ("output:2", "true", 1, "1 (0x1)"),
         ("0x01/1/1.u16", "60", 60, "60 (0x3C)"),
         ("0x01/1/1.i8", "-2", 0xFE, "-2 (0xFE)"),
     ] {
-        assert_eq!(Addresses.value(address, text).unwrap(), raw, "{address} = {text}");
+        assert_eq!(Addresses.in_unit(address, text).unwrap(), raw, "{address} = {text}");
+        let count = Addresses.number(address, raw).to_string();
+        assert_eq!(Addresses.value(address, &count).unwrap(), raw, "{address} = {count}");
         assert_eq!(Addresses.show(address, raw), shown, "{address}");
     }
 }
@@ -91,13 +93,16 @@ fn values_that_do_not_exist_are_refused_with_the_right_form() {
     let message = |address: &str, text: &str| Addresses.value(address, text).unwrap_err().to_string();
     for (address, text, range) in [
         ("AC", "0", "1 ... 32000"),
-        ("AC", "5334.0", "1 ... 32000"),
         ("GC", "2001", "-2000 ... 2000"),
         ("R:3", "0x100000000", "-2147483648 ... 2147483647"),
     ] {
         assert_eq!(message(address, text), format!("{text} is out of the range of its type, {range}"));
     }
-    let ac = "a whole number, 1 ... 32000, or its bits as 0x..., or a value in rev/s² with a point";
+    let ac = "a whole number, 1 ... 32000, or its bits as 0x...";
+    let far = Addresses.in_unit("AC", "5334.0").unwrap_err().to_string();
+    assert_eq!(far, "5334.0 is out of the range of its type, 0.1667 rev/s² ... 5333.3333 rev/s²");
+    let foreign = Addresses.in_unit("AC", "100 mm/s²").unwrap_err().to_string();
+    assert!(foreign.contains("write a value in rev/s²"), "{foreign}");
     let bad =
         ["", "1.", ".5", "1e3", "1.0e3", "- 1", "fast", "0x", "0x+1", "nan"].map(|text| ("AC", text, ac));
     let pd = ("PD", "1.5", "a whole number, 0 ... 65535, or its bits as 0x...");

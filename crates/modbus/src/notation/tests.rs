@@ -89,15 +89,12 @@ fn a_call_carries_width_slot_menu_and_number() {
 }
 
 #[test]
-fn values_are_counts_or_scaled_with_a_point() {
+fn values_are_in_the_unit_that_is_shown_or_counts_on_request() {
     for (address, text, raw) in [
         ("01.021", "15000", 15_000),
-        ("01.021", "1500.0", 15_000),
-        ("01.021", "-0.5", 0xFFFF_FFFB),
         ("01.021", "-5", 0xFFFF_FFFB),
         ("01.021", "0xFFFFFFFB", 0xFFFF_FFFB),
-        ("02.011", "0.5", 500),
-        ("22.001", "1.021", 1_021),
+        ("22.001", "1021", 1_021),
         ("06.042", "0x0183", 0x0183),
         ("06.042", "65535", 0xFFFF),
         ("06.015", "true", 1),
@@ -112,10 +109,29 @@ fn values_are_counts_or_scaled_with_a_point() {
     ] {
         assert_eq!(Parameters.value(address, text), Ok(raw), "{address} {text}");
     }
+    for (address, text, raw) in [
+        ("01.021", "1500", 15_000),
+        ("01.021", "1500.0", 15_000),
+        ("01.021", "1500.00 rpm", 15_000),
+        ("01.021", "-0.5", 0xFFFF_FFFB),
+        ("01.021", "0xFFFFFFFB", 0xFFFF_FFFB),
+        ("02.011", "0.5", 500),
+        ("22.001", "1.021", 1_021),
+        ("06.042", "387", 387),
+        ("06.015", "true", 1),
+    ] {
+        assert_eq!(Parameters.in_unit(address, text), Ok(raw), "{address} {text}");
+    }
+    let far = Parameters.in_unit("01.021", "214748364.8").unwrap_err();
+    assert!(matches!(far, NotationError::OutOfReach { .. }) && far.to_string().contains("rpm"), "{far}");
+    for text in "1500.05 1500. .5 -.5 --1.5 1.-5 1.5.0 1500mm 1e3".split(' ') {
+        let wrong = Parameters.in_unit("01.021", text);
+        assert!(matches!(wrong, Err(NotationError::Value { .. })), "{text}: {wrong:?}");
+    }
     for (address, texts) in [
         ("06.042", "65536 -1 0x10000"),
         ("20.001", "32768 0x10000"),
-        ("01.021", "214748364.8 0x100000000 0xFFFFFFFFFFFFFFFF"),
+        ("01.021", "2147483648 0x100000000 0xFFFFFFFFFFFFFFFF"),
         ("07.001.word", "65536"),
         ("07.001", "4294967296"),
     ] {
@@ -125,7 +141,7 @@ fn values_are_counts_or_scaled_with_a_point() {
         }
     }
     for (address, texts) in [
-        ("01.021", "1500.00 1500. .5 -.5 --1.5 1.-5 1.5.0 99999999999999999999.5 1500rpm 1e3"),
+        ("01.021", "1500.0 1500. .5 99999999999999999999 1500rpm 1e3"),
         ("06.042", "1.0"),
         // The last one is no text at all.
         ("07.001", "1.5 0x 0x+5 0x-5 99999999999999999999 "),
@@ -138,15 +154,15 @@ fn values_are_counts_or_scaled_with_a_point() {
 }
 
 #[test]
-fn values_are_shown_as_counts_and_scaled() {
+fn values_are_shown_in_their_unit_and_as_counts() {
     for (address, raw, shown) in [
-        ("01.021", 15_000, "15000 (0x3A98) = 1500.0 rpm"),
-        ("01.021", 0xFFFF_FFFB, "-5 (0xFFFFFFFB) = -0.5 rpm"),
-        ("02.011", 500, "500 (0x1F4) = 0.500 s/1000rpm"),
-        ("22.001", 1_021, "1021 (0x3FD) = 1.021"),
-        ("05.005", 560, "560 (0x230) = 560 V"),
+        ("01.021", 15_000, "1500.0 rpm (raw 15000, 0x3A98)"),
+        ("01.021", 0xFFFF_FFFB, "-0.5 rpm (raw -5, 0xFFFFFFFB)"),
+        ("02.011", 500, "0.500 s/1000rpm (raw 500, 0x1F4)"),
+        ("22.001", 1_021, "1.021 (raw 1021, 0x3FD)"),
+        ("05.005", 560, "560 V (raw 560, 0x230)"),
         ("06.042", 0x0183, "387 (0x183)"),
-        ("04.020", 0xFFFF_FF9C, "-100 (0xFF9C) = -10.0 %"),
+        ("04.020", 0xFFFF_FF9C, "-10.0 % (raw -100, 0xFF9C)"),
         ("07.001", 0xFFFF_FFFF, "-1 (0xFFFFFFFF)"),
         ("speed", 7, "7 (0x7)"),
     ] {
@@ -181,6 +197,6 @@ proptest! {
     ) {
         let _ = (Parameters.value(&address, &value), Parameters.write(&address, raw));
         let _ = (Parameters.show(&address, raw), Parameters.number(&address, raw));
-        let _ = Parameters.value("01.021", &value);
+        let _ = Parameters.in_unit("01.021", &value);
     }
 }

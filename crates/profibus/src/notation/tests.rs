@@ -74,10 +74,10 @@ impl Carrier for Answers {
 #[test]
 fn values_and_lists_are_what_the_drive_says_that_they_are() {
     for (kind, raw, shown, listed) in [
-        (Kind::I32, 430_000, "430000 (0x68FB0) = 43.0000 °C", ("C0061", "i32 read")),
-        (Kind::I16, 43, "43 (0x2B) = 43 °C", ("C0061.i16", "i16 read")),
-        (Kind::I16, 0xFFFF_FFFB, "-5 (0xFFFB) = -5 °C", ("C0061.i16", "i16 read")),
-        (Kind::U32, 430_000, "430000 (0x68FB0) = 43.0000 °C", ("C0061.u32", "u32 read")),
+        (Kind::I32, 430_000, "43.0000 °C (raw 430000, 0x68FB0)", ("C0061", "i32 read")),
+        (Kind::I16, 43, "43 °C (raw 43, 0x2B)", ("C0061.i16", "i16 read")),
+        (Kind::I16, 0xFFFF_FFFB, "-5 °C (raw -5, 0xFFFB)", ("C0061.i16", "i16 read")),
+        (Kind::U32, 430_000, "43.0000 °C (raw 430000, 0x68FB0)", ("C0061.u32", "u32 read")),
     ] {
         let carrier = Answers(kind, raw);
         let access = Access { drive: "x", notation: &Codes, carrier: &carrier };
@@ -95,14 +95,12 @@ fn values_and_lists_are_what_the_drive_says_that_they_are() {
 }
 
 #[test]
-fn values_are_counts_or_scaled_by_their_code() {
+fn values_are_in_the_unit_of_their_code_or_counts_on_request() {
     for (address, text, raw) in [
         ("C0039", "1504000", 1_504_000),
-        ("C0039", "150.4", 1_504_000),
-        ("C0039/2", "-0.0001", 0xFFFF_FFFF),
         ("C0039", "0x16F300", 1_504_000),
         ("C0003", "true", 1),
-        ("C0999", "2.5", 25_000),
+        ("C0999", "25000", 25_000),
         ("C0150.u16", "65535", 0xFFFF),
         ("C0150.i16", "-2", 0xFFFE),
         ("C0150.u8", "0xFF", 0xFF),
@@ -111,8 +109,31 @@ fn values_are_counts_or_scaled_by_their_code() {
     ] {
         assert_eq!(Codes.value(address, text), Ok(raw), "{address} {text}");
     }
+    for (address, text, raw) in [
+        ("C0039", "150.4", 1_504_000),
+        ("C0039", "150.4 Hz", 1_504_000),
+        ("C0039/2", "-0.0001", 0xFFFF_FFFF),
+        ("C0012", "5", 50_000),
+        ("C0039", "0x16F300", 1_504_000),
+        ("C0003", "true", 1),
+        ("C0999", "2.5", 25_000),
+        ("C0999.u16", "25000", 25_000),
+        ("C0200.text", "S7 x", 0x7820_3753),
+    ] {
+        assert_eq!(Codes.in_unit(address, text), Ok(raw), "{address} {text}");
+    }
+    for (address, text, part) in [
+        ("C0039", "150 rpm", "write a value in Hz"),
+        ("C0039", "0.00001", "up to 4 decimals"),
+        ("C0039", "300000.0", "214748.3647 Hz"),
+        // It may be one of 16 bits, without decimals.
+        ("C0999", "2", "C0999.u16"),
+    ] {
+        let wrong = Codes.in_unit(address, text).unwrap_err().to_string();
+        assert!(wrong.contains(part), "{wrong}");
+    }
     for (address, texts) in [
-        ("C0039", &["0.00001", "2147483648", "300000.0", "fast"][..]),
+        ("C0039", &["1.5", "2147483648", "fast"][..]),
         ("C0150.u16", &["-1", "1.0"]),
         ("C0150.i8", &["128"]),
         ("1/3", &["", "0"]),
@@ -123,16 +144,16 @@ fn values_are_counts_or_scaled_by_their_code() {
     assert!(matches!(Codes.value("C0061", "1"), Err(NotationError::ReadOnly { .. })));
     assert!(Codes.write("C0061", 1).is_err() && Codes.write_long("C0061.text", "a").is_none());
     for (address, raw, shown) in [
-        ("C0061", 430_000, "430000 (0x68FB0) = 43.0000 °C"),
-        ("C0039/2", 0xFFFF_FFFF, "-1 (0xFFFFFFFF) = -0.0001 Hz"),
-        ("C0999", 25_000, "25000 (0x61A8) = 2.5000"),
+        ("C0061", 430_000, "43.0000 °C (raw 430000, 0x68FB0)"),
+        ("C0039/2", 0xFFFF_FFFF, "-0.0001 Hz (raw -1, 0xFFFFFFFF)"),
+        ("C0999", 25_000, "2.5000 (raw 25000, 0x61A8)"),
         ("C0150.u16", 0x237, "567 (0x237)"),
         ("1/3", 0xA001, "01 A0 00 00 00 00 00 00"),
     ] {
         assert_eq!(Codes.show(address, raw), shown);
     }
     // In 16 bits a code has other decimals, if they are known.
-    assert_eq!(Codes.show("C0061.i16", 43), "43 (0x2B) = 43 °C");
+    assert_eq!(Codes.show("C0061.i16", 43), "43 °C (raw 43, 0x2B)");
     assert_eq!(Codes.show("C0039.i16", 43), "43 (0x2B)");
     let number = |address| Codes.number(address, 0xFFFF_FFFE);
     assert_eq!((number("C0039"), number("C0039.u32")), (-2, 0xFFFF_FFFE));

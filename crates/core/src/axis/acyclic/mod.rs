@@ -17,6 +17,7 @@ pub mod long;
 mod notation;
 mod parameter;
 mod port;
+mod quantity;
 mod queue;
 
 use std::any::Any;
@@ -29,10 +30,11 @@ pub use integer::Integer;
 pub(crate) use notation::Numbers;
 pub use notation::{
     Access, Block, ListError, Listed, Listing, Notation, NotationError, ParameterError, Progress, ReadList,
-    Request, Wanted, Watcher, bits, count, go_on, read_listed, within,
+    Request, Wanted, Watcher, bits, count, go_on, in_unit, read_listed, within,
 };
 pub use parameter::{ParameterTicket, Parameters, Scalar};
 pub use port::{Commanding, Port, Posted};
+pub use quantity::{Quantity, Scale, shown};
 pub use queue::{Acyclic, AcyclicEnds, CallTicket, queue};
 
 use super::feedback::{Link, State};

@@ -6,6 +6,7 @@ use std::time::Duration;
 
 use thiserror::Error;
 
+use super::quantity::Quantity;
 use super::{Answer, Call, CallError, Carrier, PostError, Series, long};
 
 /// The time limit of one parameter access, unless the notation sets another: a drive answers within milliseconds, but a
@@ -23,8 +24,19 @@ pub trait Notation: Debug + Send + Sync {
     /// The call that writes the raw `value` to `address`.
     fn write(&self, address: &str, value: u64) -> Result<Call, NotationError>;
 
-    /// The raw value of `text` for `address`.
+    /// The raw value of `text` for `address`: a count as on the wire, its bits, or a word.
     fn value(&self, address: &str, text: &str) -> Result<u64, NotationError>;
+
+    /// What the counts of `address` measure, if that is known.
+    fn quantity(&self, _address: &str) -> Option<Quantity> {
+        None
+    }
+
+    /// The raw value of `text` for `address` in the unit in which [`show`](Self::show) shows it; its bits and its words
+    /// are as they are.
+    fn in_unit(&self, address: &str, text: &str) -> Result<u64, NotationError> {
+        in_unit(self, address, text)
+    }
 
     /// The raw value of `address` as a number in its own type, if the type is known.
     fn number(&self, address: &str, raw: u64) -> i64;
@@ -158,6 +170,16 @@ pub enum NotationError {
     /// The drive has no request for several parameters.
     #[error("this drive reads and writes one parameter at a time: give one address and one value")]
     Alone,
+    /// The same of a value in a unit.
+    #[error("{value} is out of the range of its type, {low} ... {high}")]
+    OutOfReach {
+        /// The given value.
+        value: String,
+        /// The lowest, with its unit.
+        low: String,
+        /// The highest.
+        high: String,
+    },
     /// Not a value of this parameter.
     #[error("{value} is not a value of this parameter; write {form}")]
     Value {
@@ -300,10 +322,24 @@ impl Access<'_> {
         Ok((raw, self.notation.show(address, raw)))
     }
 
-    /// Writes a parameter from its text.
+    /// Writes a parameter from its text, in the unit in which it is shown.
     pub fn write(&self, address: &str, text: &str) -> Result<u64, ParameterError> {
+        self.write_raw(address, text, self.notation.in_unit(address, text))
+    }
+
+    /// The same from a count.
+    pub fn write_count(&self, address: &str, text: &str) -> Result<u64, ParameterError> {
+        self.write_raw(address, text, self.notation.value(address, text))
+    }
+
+    fn write_raw(
+        &self,
+        address: &str,
+        text: &str,
+        raw: Result<u64, NotationError>,
+    ) -> Result<u64, ParameterError> {
         let request = Request::write(self.drive, address, text.to_owned());
-        let raw = self.notation.value(address, text).map_err(|error| request.wrong(error))?;
+        let raw = raw.map_err(|error| request.wrong(error))?;
         let calls = match self.notation.write_long(address, text) {
             Some(calls) => calls,
             None => vec![self.notation.write(address, raw).map_err(|error| request.wrong(error))?],
@@ -505,6 +541,15 @@ pub fn read_listed(
     Ok(found)
 }
 
+/// The raw value of a text in the unit of `address`: what [`Notation::in_unit`] does of itself.
+pub fn in_unit<N: Notation + ?Sized>(notation: &N, address: &str, text: &str) -> Result<u64, NotationError> {
+    let is_raw = text.starts_with("0x") || matches!(text, "true" | "false");
+    match notation.quantity(address).filter(|_| !is_raw) {
+        Some(quantity) => quantity.raw(text, |count| notation.value(address, count)),
+        None => notation.value(address, text),
+    }
+}
+
 /// Hexadecimal digits and nothing else.
 pub fn bits(digits: &str) -> Option<u64> {
     u64::from_str_radix(digits, 16).ok().filter(|_| !digits.starts_with('+'))
@@ -525,21 +570,13 @@ pub fn within(
     }
 }
 
-/// The count that `text` means for a parameter with so many decimals.
-pub fn count(text: &str, decimals: u32) -> Option<i64> {
+/// The count that `text` means.
+pub fn count(text: &str) -> Option<i64> {
     match text {
-        "true" => return Some(1),
-        "false" => return Some(0),
-        _ => {}
+        "true" => Some(1),
+        "false" => Some(0),
+        _ => text.parse().ok(),
     }
-    let Some((whole, part)) = text.split_once('.') else { return text.parse().ok() };
-    let digits = |text: &str| !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit());
-    let places = u32::try_from(part.len()).ok().filter(|places| *places <= decimals)?;
-    if !digits(whole.strip_prefix('-').unwrap_or(whole)) || !digits(part) {
-        return None;
-    }
-    let number: i64 = format!("{whole}{part}").parse().ok()?;
-    number.checked_mul(10_i64.pow(decimals - places))
 }
 
 #[cfg(test)]
