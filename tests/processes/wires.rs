@@ -104,9 +104,9 @@ fn unidrives_beside_a_linmot_come_are_asked_are_lost_and_come_back() {
                 "set",
                 "v 01.022 1.5 60000.0 2.5",
                 1,
-                &["write 01.023 = 600000 ", "; those before it were written"],
+                &["write 01.023 = 60000.0 rpm ", "; those before it were written"],
             ),
-            ("get", "v 01.022 --count 3", 0, &["v 01.022: 15 (0xF) = 1.5 rpm\nv 01.023: 0 "]),
+            ("get", "v 01.022 --count 3", 0, &["v 01.022: 1.5 rpm (raw 15, 0xF)\nv 01.023: 0.0 rpm "]),
             (
                 "set",
                 "u 01.022 1.5 fast",

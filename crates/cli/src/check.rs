@@ -65,7 +65,10 @@ impl Check {
             let tight = cost.iter().filter(|_| refusal.is_none()).flat_map(CycleCost::warnings);
             let of_host = cost.iter().flat_map(CycleCost::lines).chain(tight);
             let of_host = of_host.map(|line| format!("on this host: {line}"));
-            for line in fieldbeat_config::describe::describe(&plan).into_iter().chain(of_host) {
+            let mut lines = fieldbeat_config::describe::describe(&plan);
+            // What it is not stays the last line.
+            let last = lines.pop();
+            for line in lines.into_iter().chain(of_host).chain(last) {
                 print(line)?;
             }
         }

@@ -344,8 +344,9 @@ fn a_session_that_is_refused_not_answered_or_no_session_ends_the_connection() {
         assert_eq!(bench.state, HandshakeState::More);
         bench.pass(2 * LOOK_NS);
         assert!(bench.failed().contains(words), "{}", bench.failed());
-        let dropped = "within 1 s; 1 messages with the session, sender context or sequence of no request were \
-                       dropped: look whether another device or a gateway has its address, and at its firmware";
+        let dropped = "within 1 s; 1 messages with the session, sender context or sequence of no request \
+                       were dropped: look whether another device or a gateway has its address, and at its \
+                       firmware";
         assert!(bench.failed().ends_with(dropped), "{}", bench.failed());
     }
 }
