@@ -19,9 +19,33 @@ pub(crate) const WRONG_ID: Row = Row {
     remedy: "look whether another device or a gateway has its address",
 };
 
-/// The handshake received an exception for the status word.
+/// The handshake received exception 01 for the status word: a Unidrive has the function.
+pub(crate) const NO_FUNCTION: Row = Row {
+    symptom: "exception 01h for its status word in the handshake",
+    holds: NOTED,
+    says: "it does not have the function by which its status word is read",
+    remedy: "look whether it is a Unidrive's Modbus port, or another device has its address",
+};
+
+/// The handshake received exception 03 for the status word.
+pub(crate) const BAD_VALUE: Row = Row {
+    symptom: "exception 03h for its status word in the handshake",
+    holds: NOTED,
+    says: "it does not give its status word in so many bits",
+    remedy: "look at the bits of map.status, and whether another device has its address",
+};
+
+/// The handshake received exception 04 for the status word.
+pub(crate) const FAILED: Row = Row {
+    symptom: "exception 04h for its status word in the handshake",
+    holds: NOTED,
+    says: "it has failed to read its status word",
+    remedy: "correct unit, which some servers answer so, or restart the drive and its option modules",
+};
+
+/// The handshake received another exception for the status word: 02 of a Unidrive.
 pub(crate) const REFUSED: Row = Row {
-    symptom: "an exception for its status word in the handshake",
+    symptom: "exception 02h, or any other, for its status word in the handshake",
     holds: NOTED,
     says: "it refuses to report its status word",
     remedy: "look at addressing and map.status, and at unit if it is behind a gateway",
@@ -44,7 +68,7 @@ pub(crate) const SLOW: Row = Row {
 };
 
 /// The most specific symptoms first.
-pub const DIAGNOSIS: [Row; 8] = [
+pub const DIAGNOSIS: [Row; 11] = [
     Row {
         symptom: "`wrong_unit` is most of `missed`",
         holds: |of| of.mostly(own(of, Own::WrongUnit)),
@@ -54,6 +78,9 @@ pub const DIAGNOSIS: [Row; 8] = [
     MISFIT,
     WRONG_ID,
     UNREACHED,
+    NO_FUNCTION,
+    BAD_VALUE,
+    FAILED,
     REFUSED,
     Row {
         symptom: "`late` is most of `missed`, more than `given_up`, and more than one",

@@ -14,7 +14,7 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use super::diagnosis::{MISFIT, REFUSED, SLOW, UNREACHED, WRONG_ID};
+use super::diagnosis::{BAD_VALUE, FAILED, MISFIT, NO_FUNCTION, REFUSED, SLOW, UNREACHED, WRONG_ID};
 use super::mapping::{Block, Image, Mapping, Role};
 use super::parameter::{DRIVE_UNIT, Parameter, Width};
 use super::plan::UnidriveDrive;
@@ -280,11 +280,15 @@ impl UnidriveHandshake {
                 self.unit += 1;
                 Some(Step::Unit)
             }
-            (Step::Unit, Some(code @ (ExceptionCode::NO_PATH | ExceptionCode::NO_RESPONSE))) => {
-                return HandshakeState::Failed(UNREACHED.with(&code));
-            }
             (Step::Unit, Some(code)) => {
-                return HandshakeState::Failed(REFUSED.with(&code));
+                let row = match code {
+                    ExceptionCode::NO_PATH | ExceptionCode::NO_RESPONSE => UNREACHED,
+                    ExceptionCode::FUNCTION => NO_FUNCTION,
+                    ExceptionCode::VALUE => BAD_VALUE,
+                    ExceptionCode::DEVICE_FAILURE => FAILED,
+                    _ => REFUSED,
+                };
+                return HandshakeState::Failed(row.with(&code));
             }
             (Step::Unit, None) => {
                 self.finding.unit = self.units[self.unit];
@@ -304,9 +308,13 @@ impl UnidriveHandshake {
             }
             (Step::Look(index), Some(code)) => {
                 let block = &self.direct.reads()[index];
+                let remedy = match code {
+                    ExceptionCode::VALUE => "look at the bits in map, monitor and also_read",
+                    ExceptionCode::DEVICE_FAILURE => "restart the drive and its option modules",
+                    _ => "look at map, monitor and also_read, and at the addressing",
+                };
                 return HandshakeState::Failed(format!(
-                    "the drive does not give {} ({} registers from it on): {code}; look at map, monitor and \
-                    also_read, and at the addressing",
+                    "the drive does not give {} ({} registers from it on): {code}; {remedy}",
                     block.first, block.registers
                 ));
             }

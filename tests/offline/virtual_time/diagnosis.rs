@@ -301,7 +301,10 @@ fn of_a_unidrive() {
         reply[5] = 3;
         To::Master
     }
+    let no_function: Change = |_, reply| refuse(reply, 1);
     let exception: Change = |_, reply| refuse(reply, 2);
+    let bad_value: Change = |_, reply| refuse(reply, 3);
+    let failed: Change = |_, reply| refuse(reply, 4);
     let unreached: Change = |_, reply| refuse(reply, 0x0B);
     let wrong_id: Change = |_, reply| {
         reply[1] ^= 0x80;
@@ -320,7 +323,10 @@ fn of_a_unidrive() {
         case(true, |count, reply| first(count, reply, |reply| reply[6] ^= 1), SILENT),
         case(true, |count, reply| first(count, reply, |reply| reply[7] = 0x2B), SILENT),
         case(true, |count, reply| first(count, reply, |reply| reply[1] ^= 0x80), SILENT),
+        case(false, no_function, The("it does not have the function by which its status word is read")),
         case(false, exception, The("it refuses to report its status word")),
+        case(false, bad_value, The("it does not give its status word in so many bits")),
+        case(false, failed, The("it has failed to read its status word")),
         case(false, unreached, The("the gateway in front of it does not reach it")),
         // Each way.
         with(delayed(1.0, 14), The("its replies come later than reply_within")),

@@ -109,8 +109,18 @@ fn a_busy_drive_gets_its_request_again_and_second_replies_are_dropped() {
 #[test]
 fn a_drive_that_stays_busy_and_a_peer_that_answers_something_else_are_named() {
     type Change<'a> = &'a dyn Fn(usize, &[u8], Vec<u8>) -> Vec<u8>;
-    let cases: [(Change<'_>, &str); 6] = [
+    let refused = |code: u8| {
+        move |n: usize, _: &[u8], reply: Vec<u8>| if n > 1 { exception(code, &reply) } else { reply }
+    };
+    let (address, value, failure) = (refused(2), refused(3), refused(4));
+    let cases: [(Change<'_>, &str); 9] = [
         (&|_, _, reply| exception(6, &reply), "the drive is busy all the time: exception 06h"),
+        (
+            &address,
+            "or too many registers at once; look at map, monitor and also_read, and at the addressing",
+        ),
+        (&value, "an invalid value in the request; look at the bits in map, monitor and also_read"),
+        (&failure, "the drive failed to do it; restart the drive and its option modules"),
         (
             &|_, _, reply| [&[0x12, 0x34], &reply[2..]].concat(),
             "with another transaction id than the request has",
