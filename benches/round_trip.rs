@@ -318,5 +318,5 @@ impl SimDrive for SockperfServer {
 
     fn restart(&mut self, _now: Time) {}
 
-    fn inhibit(&mut self, _until: Time) {}
+    fn open_sto(&mut self, _until: Time) {}
 }

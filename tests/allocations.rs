@@ -570,8 +570,8 @@ impl SimSerial for UnwatchedDevice {
     fn restart(&mut self, now: Time) {
         unwatched(|| self.0.restart(now));
     }
-    fn inhibit(&mut self, until: Time) {
-        self.0.inhibit(until);
+    fn open_sto(&mut self, until: Time) {
+        self.0.open_sto(until);
     }
 }
 

@@ -124,7 +124,7 @@ fn the_demo_runs_by_itself_and_its_json_has_every_key() {
          failures drives drives.name drives.protocol drives.link drives.not_connected drives.diagnosis \
          drives.state drives.losses drives.sent drives.answered drives.missed drives.late drives.duplicate \
          drives.rejected drives.suspect drives.unsent drives.rtt_ns drives.send_jitter_ns drives.age_ns \
-         drives.age_cycles drives.protocol_counters drives.position drives.inhibited drives.stopped \
+         drives.age_cycles drives.protocol_counters drives.position drives.sto_open drives.stopped \
          drives.begun_by drives.fault drives.fault_name drives.monitor drives.implausible drives.at_end \
          drives.at_end.condition drives.at_end.requested devices devices.name devices.not_operational \
          devices.protocol_counters buses buses.name buses.unmatched buses.dropped buses.receive_errors \

@@ -69,7 +69,7 @@ macro_rules! forward_sim_drive {
             fn hangs_up(&mut self, from: std::net::SocketAddrV4) -> bool;
             fn disconnected(&mut self, now: fieldbeat::Time, from: std::net::SocketAddrV4);
             fn mislabel(&self, reply: &mut [u8]);
-            fn inhibit(&mut self, until: fieldbeat::Time);
+            fn open_sto(&mut self, until: fieldbeat::Time);
         }
     };
 }
@@ -85,7 +85,7 @@ macro_rules! forward_sim_line {
             fn mislabel(&self, frame: &mut [u8]);
             fn cut(&mut self, place: Option<usize>);
             fn deafen(&mut self, place: usize, deaf: bool);
-            fn inhibit(&mut self, place: usize, until: fieldbeat::Time);
+            fn open_sto(&mut self, place: usize, until: fieldbeat::Time);
         }
     };
 }

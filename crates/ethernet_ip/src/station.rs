@@ -390,7 +390,7 @@ impl Station {
     /// The values of an accepted packet. Its inputs are only read here, so that none is decoded that is not needed.
     #[inline(always)]
     fn report(&mut self, at: Time, packet: &Packet<'_>, inputs: &Inputs, slot: &mut Slot) {
-        let inhibited = self.inhibits(inputs.main_inputs);
+        let sto_open = self.has_sto_open(inputs.main_inputs);
         // Only a rotary axis wraps around; on any other one a wrong value must not shift all later ones.
         let wraps = self.units.modulo.is_some();
         let unwrap = |track: &mut Unwrap, count: i32| if wraps { track.next(count) } else { count.into() };
@@ -401,10 +401,9 @@ impl Station {
         });
         let before = std::mem::replace(
             &mut self.seen,
-            Seen { any: true, status: inputs.status, alarm: inputs.alarm, demand, inhibited },
+            Seen { any: true, status: inputs.status, alarm: inputs.alarm, demand, sto_open },
         );
-        let same =
-            (before.status, before.alarm, before.inhibited) == (inputs.status, inputs.alarm, inhibited);
+        let same = (before.status, before.alarm, before.sto_open) == (inputs.status, inputs.alarm, sto_open);
         if !same || slot.anew || !self.profile.is_steady() {
             self.prove(slot);
             if self.profile.take_rehomed() {
@@ -474,7 +473,7 @@ impl Station {
         // A drive without an encoder is where it stands.
         let open_loop = self.steps_per_encoder_count.is_none();
         report.in_target = !self.seen.moves() && (open_loop || word & status::IN_POSITION != 0);
-        report.inhibited = self.seen.inhibited;
+        report.sto_open = self.seen.sto_open;
         report.suspect = false;
         let fault = word & status::FAULT != 0;
         // A fault has a code: that of a drive without an alarm in its word is the status bit.
@@ -483,7 +482,7 @@ impl Station {
     }
 
     /// Its hardware enable is missing, where one is wired. A closed input is 0.
-    fn inhibits(&self, main_inputs: u32) -> bool {
+    fn has_sto_open(&self, main_inputs: u32) -> bool {
         self.enable_input.is_some_and(|input| {
             let bit = input.number.saturating_sub(1).min(31);
             let open = main_inputs >> bit & 1 != 0;
@@ -549,7 +548,7 @@ fn drive_state(seen: &Seen, power: Power, motion: Motion) -> State {
             State::QuickStopActive
         }
         () if seen.is_enabled() => State::OperationEnabled,
-        () if seen.inhibited => State::SwitchOnDisabled,
+        () if seen.sto_open => State::SwitchOnDisabled,
         () => State::ReadyToSwitchOn,
     }
 }

@@ -397,7 +397,14 @@ impl<'a> Table<'a> {
     }
 }
 
+/// Keys that had another name, and their new one.
+const RENAMED: [(&str, &str); 3] =
+    [("inhibit", "sto"), ("inhibit_for", "sto_for"), ("inhibit_after", "sto_after")];
+
 fn unknown(key: &str, valid: Vec<&str>) -> String {
+    if let Some((_, new)) = RENAMED.iter().find(|(old, new)| *old == key && valid.contains(new)) {
+        return format!("its name is {new} now");
+    }
     let meant = match value::closest(key, valid.iter().copied()) {
         Some(meant) => format!("did you mean {meant}? "),
         None => String::new(),

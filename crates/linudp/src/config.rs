@@ -85,9 +85,9 @@ fn drive(table: &mut Table<'_>, machine: &mut Machine, bind: Option<SocketAddrV4
         monitor: monitor(table).unwrap_or_default(),
         reply_tag: table.word("reply_tag", &ReplyTag::WORDS).unwrap_or_default(),
         reply_within: reply_within(table, machine.period_ns),
-        inhibit_after: table
-            .time("inhibit_after", ..=60 * S, "how long the hardware enable (STO) has to be missing")
-            .map_or(LinUdpDrive::INHIBIT_AFTER, Duration::from_nanos),
+        sto_after: table
+            .time("sto_after", ..=60 * S, "how long the hardware enable (STO) has to be missing")
+            .map_or(LinUdpDrive::STO_AFTER, Duration::from_nanos),
         leash: leash(table),
         axis,
     };

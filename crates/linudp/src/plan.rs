@@ -52,7 +52,7 @@ pub struct LinUdpDrive {
     pub reply_within: Option<u32>,
     /// How long the drive has to report that its power stage may not come on, although the master allows it, until its
     /// hardware enable (STO) counts as missing: its status may be some milliseconds older than the control word.
-    pub inhibit_after: Duration,
+    pub sto_after: Duration,
     /// How far a jog runs ahead at most, user units. A LinUDP drive has no watchdog, so a jog is a target that rolls
     /// ahead of the axis; if the master dies the axis runs this far. `None`: jogs are refused (`no_drive_watchdog`).
     pub leash: Option<f64>,
@@ -102,8 +102,8 @@ impl LinUdpDrive {
         }
     }
 
-    /// The usual `inhibit_after`: a status is up to 2 ms old (sheet, 3.5).
-    pub const INHIBIT_AFTER: Duration = Duration::from_millis(10);
+    /// The usual `sto_after`: a status is up to 2 ms old (sheet, 3.5).
+    pub const STO_AFTER: Duration = Duration::from_millis(10);
 
     /// A drive at this address, in millimetres, with everything else as it is when a configuration says nothing of it.
     pub fn new(name: impl Into<String>, address: Ipv4Addr) -> LinUdpDrive {
@@ -115,7 +115,7 @@ impl LinUdpDrive {
             monitor: MonitorPlan::Off,
             reply_tag: ReplyTag::default(),
             reply_within: None,
-            inhibit_after: LinUdpDrive::INHIBIT_AFTER,
+            sto_after: LinUdpDrive::STO_AFTER,
             leash: None,
         }
     }
@@ -218,10 +218,10 @@ impl LinUdpDrive {
             let why = "has no effect: a LinUDP drive takes no torque setpoints; leave it out";
             faults.push(PlanFault::new("limits.torque", why));
         }
-        if self.inhibit_after >= self.axis.enable_timeout {
+        if self.sto_after >= self.axis.enable_timeout {
             let why =
                 "must be shorter than enable_timeout, or no Enable would report a missing hardware enable";
-            faults.push(PlanFault::new("inhibit_after", why));
+            faults.push(PlanFault::new("sto_after", why));
         }
         let unit = self.axis.units.unit;
         match (self.leash, self.axis.limits.position) {
@@ -354,7 +354,7 @@ impl LinUdpDrive {
                 (ReplyTag::Count, _) => "its count, one of fourteen in turn",
                 (ReplyTag::Off, _) => "a missed exchange before it only",
             },
-            Ns(nanos(self.inhibit_after))
+            Ns(nanos(self.sto_after))
         ));
         let jog = match self.leash {
             Some(leash) => format!("a jog or cyclic velocity runs at most {leash} {unit} further"),

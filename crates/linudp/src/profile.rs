@@ -134,7 +134,7 @@ pub(super) struct Profile {
     native: Option<NativeOutput>,
     units: Units,
     stream: Option<StreamCommand>,
-    inhibit_after_ns: u64,
+    sto_after_ns: u64,
     /// For the last resort.
     power_sent: PowerSent,
 }
@@ -190,7 +190,7 @@ impl Profile {
         Profile {
             units: drive.axis.units,
             stream: drive.stream,
-            inhibit_after_ns: nanos(drive.inhibit_after),
+            sto_after_ns: nanos(drive.sto_after),
             voltage: Voltage::Unknown,
             prepared: Serials::default(),
             sent: Serials::default(),
@@ -477,7 +477,7 @@ impl Profile {
     /// One that was there and goes is no such lag, since the control word has not changed.
     ///
     /// The reply is that to the last request, or to one that `carried` this.
-    pub(super) fn inhibited(&mut self, at: Time, inputs: &Inputs, carried: Option<Carried>) -> bool {
+    pub(super) fn sto_open(&mut self, at: Time, inputs: &Inputs, carried: Option<Carried>) -> bool {
         let Carried { control, control_before, .. } = carried.unwrap_or_else(|| self.carried());
         let allowed =
             |word: Option<ControlWord>| word.is_some_and(|word| word.has(ControlWord::VOLTAGE_ENABLE));
@@ -491,7 +491,7 @@ impl Profile {
         let Voltage::Missing { since, lost } = self.voltage else { return false };
         // Time alone may make it true.
         self.steady = false;
-        lost || at.since(since) >= self.inhibit_after_ns
+        lost || at.since(since) >= self.sto_after_ns
     }
 }
 

@@ -244,18 +244,18 @@ impl Simulation {
                 (DriveEvent::Unplug, Some(at), _) => world.unplug(*at),
                 (DriveEvent::Plug, Some(at), _) => world.plug(*at),
                 (DriveEvent::Restart, Some(at), _) => world.restart(*at),
-                (DriveEvent::OpenSto(time), Some(at), _) => world.inhibit(*at, nanos(time)),
+                (DriveEvent::OpenSto(time), Some(at), _) => world.open_sto(*at, nanos(time)),
                 (DriveEvent::Unplug, _, Way::Interface(line)) => world.cut(&line, Some(place)),
                 (DriveEvent::Plug, _, Way::Interface(line)) => world.cut(&line, None),
                 (DriveEvent::Restart, _, Way::Interface(line)) => world.restart_slave(&line, place),
                 (DriveEvent::OpenSto(time), _, Way::Interface(line)) => {
-                    world.inhibit_slave(&line, place, nanos(time))
+                    world.open_sto_of_slave(&line, place, nanos(time))
                 }
                 (DriveEvent::Unplug, _, Way::Port(port)) => world.unplug_port(&port),
                 (DriveEvent::Plug, _, Way::Port(port)) => world.plug_port(&port),
                 (DriveEvent::Restart, _, Way::Port(port)) => world.restart_on(&port, place),
                 (DriveEvent::OpenSto(time), _, Way::Port(port)) => {
-                    world.inhibit_on(&port, place, nanos(time))
+                    world.open_sto_on(&port, place, nanos(time))
                 }
                 (_, None, Way::Address(_)) => false,
             })

@@ -332,7 +332,7 @@ impl Profile {
 
     /// Maps the drive's state onto those of CiA 402.
     #[inline]
-    pub(super) fn state(&mut self, status: StatusWord, inhibited: bool) -> State {
+    pub(super) fn state(&mut self, status: StatusWord, sto_open: bool) -> State {
         if status.active() && self.runs() {
             self.halted = false;
         }
@@ -341,7 +341,7 @@ impl Profile {
             // It follows no setpoint.
             (true, true) if self.is_on() && self.is_halted => State::QuickStopActive,
             (true, true) => State::OperationEnabled,
-            (true, false) if inhibited => State::SwitchOnDisabled,
+            (true, false) if sto_open => State::SwitchOnDisabled,
             // Its power stage comes and goes with RUN.
             (true, false) if self.is_on() && self.halted => State::QuickStopActive,
             (true, false) if self.is_on() => State::SwitchedOn,

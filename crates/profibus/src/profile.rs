@@ -39,7 +39,7 @@ const NOT_WATCHED: &str = "its diagnosis does not report its watchdog as on, not
 pub(super) struct Inputs {
     pub status: u16,
     pub state: State,
-    pub inhibited: bool,
+    pub sto_open: bool,
     /// The code of its fault; 0: it has none, or it is not known.
     pub fault: u16,
     /// Its code is known, as far as it will ever be.
@@ -267,7 +267,7 @@ impl Profile {
 
     /// Its hardware enable is missing.
     #[inline]
-    pub(super) fn is_inhibited(&self, status: u16) -> bool {
+    pub(super) fn is_sto_open(&self, status: u16) -> bool {
         self.enable_bit.is_some_and(|StatusBit { bit, set }| (status >> (bit & 0xF) & 1 != 0) != set)
     }
 

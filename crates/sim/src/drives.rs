@@ -308,7 +308,7 @@ impl Drives {
         }
         match fault {
             DriveFault::Restart => unit.drive.restart(now),
-            DriveFault::Inhibit(until) => unit.drive.inhibit(until),
+            DriveFault::OpenSto(until) => unit.drive.open_sto(until),
         }
         self.called(index);
         ended

@@ -49,7 +49,7 @@ pub struct Injected {
     /// Restarts; the request that triggers one is lost with it.
     pub restarts: u64,
     /// Times that the hardware enable was opened.
-    pub inhibits: u64,
+    pub sto_opened: u64,
     /// Replies from a wrong port, or, on a stream, to something else.
     pub wrong_id: u64,
     /// Parcels that came one byte at a time.
@@ -68,7 +68,7 @@ pub enum DriveFault {
     /// It is switched off and on again; the request is lost.
     Restart,
     /// Its hardware enable is open until then.
-    Inhibit(Time),
+    OpenSto(Time),
 }
 
 impl DriveFault {
@@ -77,7 +77,7 @@ impl DriveFault {
     pub(super) fn place(self, injected: Injected, count: usize) -> usize {
         let number = match self {
             DriveFault::Restart => injected.restarts,
-            DriveFault::Inhibit(_) => injected.inhibits,
+            DriveFault::OpenSto(_) => injected.sto_opened,
         };
         number.saturating_sub(1) as usize % count.max(1)
     }
@@ -121,7 +121,7 @@ struct Lot {
     reorder: bool,
     stall: bool,
     restart: bool,
-    inhibit: bool,
+    sto: bool,
     wrong_id: bool,
     split: bool,
     cut: bool,
@@ -191,7 +191,7 @@ impl Lane {
             reorder: self.happens(plan.reorder),
             stall: request && self.happens(plan.stall),
             restart: request && self.happens(plan.restart),
-            inhibit: request && self.happens(plan.inhibit),
+            sto: request && self.happens(plan.sto),
             wrong_id: !request && self.happens(plan.wrong_id),
             split: stream && self.happens(plan.split),
             cut: stream && !request && self.happens(plan.cut),
@@ -339,9 +339,9 @@ impl Injector {
             self.stalled_until = now + self.plan.stall_ns;
             return Met::Deaf;
         }
-        if lot.inhibit {
-            injected.inhibits += 1;
-            return Met::Faulty(DriveFault::Inhibit(now + self.plan.inhibit_ns));
+        if lot.sto {
+            injected.sto_opened += 1;
+            return Met::Faulty(DriveFault::OpenSto(now + self.plan.sto_ns));
         }
         Met::Receiving
     }

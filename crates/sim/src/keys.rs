@@ -30,9 +30,9 @@ pub fn faults(table: &mut Table<'_>, carrier: Carrier, period_ns: u64, index: us
             .time("stall_for", ..=600 * S, "how long a stalled drive is silent")
             .unwrap_or(100 * MS),
         restart: rate(table, "restart"),
-        inhibit: rate(table, "inhibit"),
-        inhibit_ns: table
-            .time("inhibit_for", ..=600 * S, "how long the hardware enable (STO) stays open")
+        sto: rate(table, "sto"),
+        sto_ns: table
+            .time("sto_for", ..=600 * S, "how long the hardware enable (STO) stays open")
             .unwrap_or(100 * MS),
         wrong_id: rate(table, "wrong_id"),
         split: of_stream(table, "split"),

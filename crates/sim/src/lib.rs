@@ -136,7 +136,7 @@ pub trait SimDrive: Send {
     fn restart(&mut self, now: Time);
 
     /// Its hardware enable (STO) is open until then: power goes off, and does not come on.
-    fn inhibit(&mut self, until: Time);
+    fn open_sto(&mut self, until: Time);
 }
 
 /// The true state of a simulated drive, whatever it reports and whatever its master knows.
@@ -194,7 +194,7 @@ pub trait SimSegment: Any + Send {
     fn restart(&mut self, now: Time, place: usize);
 
     /// The hardware enable (STO) of the drive at `place` is open until then.
-    fn inhibit(&mut self, place: usize, until: Time);
+    fn open_sto(&mut self, place: usize, until: Time);
 }
 
 /// The simulated drives of one bus.
@@ -260,10 +260,10 @@ pub struct FaultPlan {
     pub stall_ns: u64,
     /// A request makes the drive restart, and is lost.
     pub restart: f64,
-    /// At a request, the drive's hardware enable (STO) opens for `inhibit_ns`.
-    pub inhibit: f64,
+    /// At a request, the drive's hardware enable (STO) opens for `sto_ns`.
+    pub sto: f64,
     /// How long it stays open, ns.
-    pub inhibit_ns: u64,
+    pub sto_ns: u64,
     /// A reply has a wrong identity: it comes from a wrong port, or, on a stream or a segment, answers something
     /// else.
     pub wrong_id: f64,

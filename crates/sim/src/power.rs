@@ -149,7 +149,7 @@ impl<F: Copy> PowerDrive<F> {
     }
 
     /// Opens the hardware enable until then.
-    pub(super) fn inhibit(&mut self, until: Time) {
+    pub(super) fn open_sto(&mut self, until: Time) {
         self.open_until = until;
     }
 

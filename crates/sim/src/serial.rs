@@ -49,7 +49,7 @@ pub trait SimSerial: Any + Send {
     fn restart(&mut self, now: Time);
 
     /// Its hardware enable (STO) is open until then.
-    fn inhibit(&mut self, until: Time);
+    fn open_sto(&mut self, until: Time);
 }
 
 /// Simulated drives and the wire that they share.
@@ -329,7 +329,7 @@ impl Medium {
         let place = fault.place(self.injector.injected(), self.wire.drives.len());
         match fault {
             DriveFault::Restart => self.restart(now, place),
-            DriveFault::Inhibit(until) => self.inhibit(place, until),
+            DriveFault::OpenSto(until) => self.open_sto(place, until),
         }
     }
 
@@ -341,9 +341,9 @@ impl Medium {
     }
 
     /// The hardware enable of the drive at `place` is open until then.
-    pub(super) fn inhibit(&mut self, place: usize, until: Time) {
+    pub(super) fn open_sto(&mut self, place: usize, until: Time) {
         if let Some(drive) = self.wire.drives.get_mut(place) {
-            drive.inhibit(until);
+            drive.open_sto(until);
         }
     }
 }

@@ -64,7 +64,7 @@ pub struct Tally {
     pub passed: usize,
     pub lived: Time,
     pub restarts: [usize; 2],
-    pub inhibited: [Time; 2],
+    pub sto_open: [Time; 2],
 }
 
 impl Tally {
@@ -133,8 +133,8 @@ impl SimSegment for Tally {
         self.restarts[place] += 1;
     }
 
-    fn inhibit(&mut self, place: usize, until: Time) {
-        self.inhibited[place] = until;
+    fn open_sto(&mut self, place: usize, until: Time) {
+        self.sto_open[place] = until;
     }
 }
 
@@ -276,7 +276,7 @@ impl SimDrive for Producer {
         self.owner = None;
     }
 
-    fn inhibit(&mut self, _until: Time) {}
+    fn open_sto(&mut self, _until: Time) {}
 }
 
 /// A drive on a serial wire. It answers the telegram `[its number, value, !value]` after 11 bits with `[its number +
@@ -285,7 +285,7 @@ pub struct Slave {
     pub number: u8,
     pub received: Vec<u8>,
     pub restarts: usize,
-    pub inhibited: Time,
+    pub sto_open: Time,
     answers: u8,
     due: Option<Time>,
     value: u8,
@@ -299,7 +299,7 @@ impl Slave {
             number,
             received: Vec::new(),
             restarts: 0,
-            inhibited: Time::default(),
+            sto_open: Time::default(),
             answers: 0,
             due: None,
             value: 0,
@@ -341,7 +341,7 @@ impl SimSerial for Slave {
         self.restarts += 1;
     }
 
-    fn inhibit(&mut self, until: Time) {
-        self.inhibited = until;
+    fn open_sto(&mut self, until: Time) {
+        self.sto_open = until;
     }
 }

@@ -59,7 +59,7 @@ impl Wire {
         let place = fault.place(self.injector.injected(), self.segment.slaves());
         match fault {
             DriveFault::Restart => self.segment.restart(now, place),
-            DriveFault::Inhibit(until) => self.segment.inhibit(place, until),
+            DriveFault::OpenSto(until) => self.segment.open_sto(place, until),
         }
     }
 

@@ -169,10 +169,10 @@ impl World {
     }
 
     /// Opens the hardware enable (STO) of the drive at `address` for `ns`. False if there is no such drive.
-    pub fn inhibit(&self, address: SocketAddrV4, ns: u64) -> bool {
+    pub fn open_sto(&self, address: SocketAddrV4, ns: u64) -> bool {
         let mut inner = self.lock();
         let (until, drive) = (inner.now + ns, inner.drives.at(address));
-        drive.map(|drive| inner.inject(drive, Some(DriveFault::Inhibit(until)))).is_some()
+        drive.map(|drive| inner.inject(drive, Some(DriveFault::OpenSto(until)))).is_some()
     }
 
     /// What passes the drive's socket at `address` has the faults of `plan` from now on; its counters restart. False if

@@ -422,7 +422,7 @@ const KEYS: &[(&str, &str, &[&str])] = &[
     (DRIVE, "simulate.stream_period", &["\"100us\"", "\"1ms\"", "\"1s\""]),
     (DRIVE, "simulate.stream_patience", &["1", "2.5", "1000"]),
     (DRIVE, "simulate.stream_depth", &["1", "8", "10000"]),
-    (DRIVE, "inhibit_after", &["\"0us\"", "\"10ms\"", "\"60s\""]),
+    (DRIVE, "sto_after", &["\"0us\"", "\"10ms\"", "\"60s\""]),
     (DRIVE, "simulate.status_lag", &["\"0us\"", "\"2ms\"", "\"1s\""]),
     (DRIVE, "simulate.force_enable_bits", &["true", "false"]),
     (DRIVE, "simulate.running", &["true", "false"]),

@@ -353,7 +353,7 @@ impl Rig {
                 let at = self.pipe.get().now;
                 match input.below(3) {
                     0 => self.pipe.get().drive.restart(at),
-                    1 => self.pipe.get().drive.inhibit(at + 20 * MS),
+                    1 => self.pipe.get().drive.open_sto(at + 20 * MS),
                     _ => self.index += u64::from(input.byte()),
                 }
             }

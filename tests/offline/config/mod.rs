@@ -320,7 +320,7 @@ fn a_file_that_says_little_is_a_plan_built_in_code() {
     let usual = UnidriveDrive::new("u", [127, 0, 0, 21].into());
     let mut settings = UnidriveSettings::of(&usual);
     let faults = &mut settings.faults;
-    (faults.delay_ns, faults.stall_ns, faults.inhibit_ns) = (MS, 100 * MS, 100 * MS);
+    (faults.delay_ns, faults.stall_ns, faults.sto_ns) = (MS, 100 * MS, 100 * MS);
     let Configuration { plan, simulation, .. } = read_all(&unidrive("", ""));
     assert!(format!("{plan:?}").contains(&format!("{usual:?}")));
     assert!(format!("{simulation:?}").contains(&format!("{settings:?}")));

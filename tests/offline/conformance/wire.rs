@@ -400,8 +400,8 @@ impl SimSegment for TappedLine {
         self.line.restart(now, place);
     }
 
-    fn inhibit(&mut self, place: usize, until: Time) {
-        self.line.inhibit(place, until);
+    fn open_sto(&mut self, place: usize, until: Time) {
+        self.line.open_sto(place, until);
     }
 }
 

@@ -157,8 +157,8 @@ impl SimSerial for ChangedSerial {
         self.drive.restart(now);
     }
 
-    fn inhibit(&mut self, until: Time) {
-        self.drive.inhibit(until);
+    fn open_sto(&mut self, until: Time) {
+        self.drive.open_sto(until);
     }
 }
 

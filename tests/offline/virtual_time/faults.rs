@@ -234,12 +234,12 @@ fn what_happens_to_a_simulated_drive_is_named_by_its_axis() {
         enable(&mut sim, axis);
         sim.happen(name, DriveEvent::OpenSto(Duration::from_secs(3))).unwrap();
         // A MOONS' reports it by a configured input only: it loses its power.
-        assert!(sim.run_until(2_900, |sim| sim.feedback(axis).status.inhibited || !powered(sim)), "{name}");
+        assert!(sim.run_until(2_900, |sim| sim.feedback(axis).status.sto_open || !powered(sim)), "{name}");
         // The others are as they were.
         let mut others = (0..sim.plan().axes().len()).filter(|other| *other != axis);
-        assert!(others.all(|other| !sim.feedback(other).status.inhibited), "{name}");
+        assert!(others.all(|other| !sim.feedback(other).status.sto_open), "{name}");
         sim.run(4_000);
-        assert!(sim.run_until(20_000, |sim| !sim.feedback(axis).status.inhibited), "{name}");
+        assert!(sim.run_until(20_000, |sim| !sim.feedback(axis).status.sto_open), "{name}");
         enable(&mut sim, axis);
         assert!(powered(&sim), "{name}");
         sim.happen(name, DriveEvent::Restart).unwrap();

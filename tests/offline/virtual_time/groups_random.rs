@@ -170,7 +170,7 @@ impl Run {
         match what {
             Nothing => return,
             Silent => self.m.plug(index, false),
-            Inhibited => self.m.inhibit(index, ms * 1_000_000),
+            Inhibited => self.m.open_sto(index, ms * 1_000_000),
             Fault => self.m.provoke(index),
             Restart => self.m.restart(index),
             LateHost => return self.m.skip(ms as u32 / 4),

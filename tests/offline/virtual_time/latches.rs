@@ -89,7 +89,7 @@ causes! {
         },
         ..CASE
     },
-    HardwareEnable => Case { strike: |b| assert!(b.world().inhibit(address(0), 50 * MS)), ..CASE },
+    StoOpen => Case { strike: |b| assert!(b.world().open_sto(address(0), 50 * MS)), ..CASE },
     Heartbeat => Case {
         rig: |rig| rig.cycle(|cycle| cycle.heartbeat_ns = Some(1_500 * MS)),
         // The application does nothing any more.

@@ -52,21 +52,21 @@ fn the_hardware_enable_is_seen_as_a_state_and_a_stop_of_its_own_name() {
     let mut b = Rig::new(2).each(|_, drive| drive.axis.stop.group = Some(1)).ready();
     let id = b.post(0, slowly_to(150.0));
     b.run(200);
-    assert!(!b.feedback(0).status.inhibited);
-    b.world().inhibit(address(0), 300 * MS);
-    assert_eq!(b.stopped(0, 10), StopCause::HardwareEnable);
+    assert!(!b.feedback(0).status.sto_open);
+    b.world().open_sto(address(0), 300 * MS);
+    assert_eq!(b.stopped(0, 10), StopCause::StoOpen);
     assert_eq!(b.feedback(1).stopped, Some(StopCause::Group));
-    assert!(b.feedback(0).status.inhibited && !b.feedback(0).status.state.is_powered());
-    assert_eq!(b.outcome(0, id), Some(Outcome::Aborted(Abort::Stopped(StopCause::HardwareEnable))));
+    assert!(b.feedback(0).status.sto_open && !b.feedback(0).status.state.is_powered());
+    assert_eq!(b.outcome(0, id), Some(Outcome::Aborted(Abort::Stopped(StopCause::StoOpen))));
     b.run(50);
     b.done(0, Command::Reset);
-    assert_eq!(b.failed(0, Command::Enable), Failure::Inhibited, "named before anything is tried");
-    b.until("the hardware enable is back", 400, |b| !b.feedback(0).status.inhibited);
+    assert_eq!(b.failed(0, Command::Enable), Failure::StoOpen, "named before anything is tried");
+    b.until("the hardware enable is back", 400, |b| !b.feedback(0).status.sto_open);
     b.run(100);
     assert!(!b.feedback(0).status.state.is_powered(), "and nothing comes on by itself");
     let reported: Vec<EventKind> =
-        b.kinds(0).into_iter().filter(|kind| matches!(kind, EventKind::HardwareEnable(_))).collect();
-    assert_eq!(reported, [EventKind::HardwareEnable(false), EventKind::HardwareEnable(true)]);
+        b.kinds(0).into_iter().filter(|kind| matches!(kind, EventKind::StoClosed(_))).collect();
+    assert_eq!(reported, [EventKind::StoClosed(false), EventKind::StoClosed(true)]);
     b.done(0, Command::Enable);
     b.done(0, to(20.0));
 }

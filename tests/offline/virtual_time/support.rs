@@ -261,7 +261,7 @@ pub fn drive(index: usize) -> LinUdpDrive {
         monitor: MonitorPlan::Off,
         reply_tag: ReplyTag::default(),
         reply_within: None,
-        inhibit_after: LinUdpDrive::INHIBIT_AFTER,
+        sto_after: LinUdpDrive::STO_AFTER,
         leash: Some(20.0),
     }
 }

@@ -127,8 +127,8 @@ impl SimSerial for Watched {
         self.slave.restart(now);
     }
 
-    fn inhibit(&mut self, until: Time) {
-        self.slave.inhibit(until);
+    fn open_sto(&mut self, until: Time) {
+        self.slave.open_sto(until);
     }
 }
 

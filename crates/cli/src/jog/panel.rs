@@ -291,7 +291,7 @@ impl Panel {
                 (Some(why), ..) => Err(format!("{} cannot: {why}", facts.name)),
                 (_, Some(cause), _) => Err(format!("stopped ({cause}): press r, then e")),
                 (.., Some(fault)) => Err(format!("fault {fault}: press r, then e")),
-                _ if state.inhibited => {
+                _ if state.sto_open => {
                     Err("the hardware enable (STO) is missing: close it, then e".to_owned())
                 }
                 _ => Ok(give(Order::Enable)),

@@ -94,7 +94,7 @@ fn the_panel_shows_what_is_known_in_80_by_24() {
         stopped: Some("link lost".to_owned()),
         fault: Some("0x001e (30, watchdog)".to_owned()),
         warning: 0x80,
-        inhibited: true,
+        sto_open: true,
         commands: vec!["reset fault".to_owned(), "reset".to_owned()],
         ..AxisState::default()
     };
@@ -255,7 +255,7 @@ fn what_cannot_be_is_answered_by_the_panel_itself() {
     }
     assert!(!runs(&mut panel, KeyCode::Right, true));
     assert_eq!(panel.message.as_deref(), Some("x is not enabled: press e"));
-    panel.state.axes[0].inhibited = true;
+    panel.state.axes[0].sto_open = true;
     assert_eq!(message(&mut panel, 'e'), "the hardware enable (STO) is missing: close it, then e");
     panel.state.axes[0].fault = Some("0x001e (30, watchdog)".to_owned());
     assert_eq!(message(&mut panel, 'e'), "fault 0x001e (30, watchdog): press r, then e");

@@ -177,12 +177,8 @@ fn details<'a>(panel: &Panel, facts: &'a AxisFacts, state: &'a AxisState) -> Vec
         Line::from(vec![
             Span::raw(label("inputs")),
             alarm(
-                if state.inhibited {
-                    "STO missing".to_owned()
-                } else {
-                    "STO not reported missing".to_owned()
-                },
-                state.inhibited,
+                if state.sto_open { "STO missing".to_owned() } else { "STO not reported missing".to_owned() },
+                state.sto_open,
             ),
             Span::raw(format!(
                 "   {}   {}   {}",

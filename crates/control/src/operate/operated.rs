@@ -194,7 +194,7 @@ impl Operated {
             stopped: (feedback.stopped).map(|cause| self.with_begin(cause.to_string(), feedback.begun_by)),
             fault: (status.fault != 0).then(|| self.axis.fault(status.fault).to_string()),
             warning: status.warning,
-            inhibited: status.inhibited,
+            sto_open: status.sto_open,
             homed: status.homed,
             moving: status.moving,
             in_target: status.in_target,

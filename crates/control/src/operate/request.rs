@@ -194,7 +194,7 @@ pub struct AxisState {
     /// The warning word.
     pub warning: u32,
     /// The drive's hardware enable (STO) is missing.
-    pub inhibited: bool,
+    pub sto_open: bool,
     /// Homed.
     pub homed: bool,
     /// The drive's setpoint generator is running.

@@ -300,7 +300,7 @@ pub enum Failure {
     },
     /// Power cannot come on.
     #[error("the drive's hardware enable (STO) is missing: close it, then enable")]
-    Inhibited,
+    StoOpen,
     /// Power off in motion would let the load drop.
     #[error("the axis moves a vertical load: stop it first, power goes off at standstill")]
     LoadInMotion,

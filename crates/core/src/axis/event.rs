@@ -67,7 +67,7 @@ pub enum EventKind {
     /// The master stopped the axis; latched until reset.
     Stopped(StopCause),
     /// The drive's hardware enable (STO) is closed (true) or missing (false).
-    HardwareEnable(bool),
+    StoClosed(bool),
     /// An exchange of this axis was missed while its group was in motion: the other members went on.
     MissedInGroup,
     /// A stream ran empty; its policy says what follows. Reported once, until rows come again.
@@ -132,7 +132,7 @@ impl EventKind {
                 ("emergency", emergency.described(Fault { code, name: name.as_deref() }), code)
             }
             EventKind::Stopped(cause) => ("stopped", cause.to_string(), cause as u32),
-            EventKind::HardwareEnable(closed) => {
+            EventKind::StoClosed(closed) => {
                 ("hardware enable", if closed { "closed" } else { "missing" }.to_owned(), closed.into())
             }
             EventKind::MissedInGroup => ("missed in group", String::new(), 0),
@@ -173,8 +173,8 @@ impl fmt::Display for EventKind {
                 f.write_str(&emergency.described(Fault { code, name: None }))
             }
             EventKind::Stopped(cause) => write!(f, "stopped: {cause}"),
-            EventKind::HardwareEnable(true) => write!(f, "hardware enable (STO) closed"),
-            EventKind::HardwareEnable(false) => write!(f, "hardware enable (STO) missing"),
+            EventKind::StoClosed(true) => write!(f, "hardware enable (STO) closed"),
+            EventKind::StoClosed(false) => write!(f, "hardware enable (STO) missing"),
             EventKind::MissedInGroup => write!(f, "missed an exchange while its group was in motion"),
             EventKind::Underrun => write!(f, "stream ran empty"),
             EventKind::Restarted => write!(f, "drive restarted"),

@@ -87,7 +87,7 @@ named! {
         /// The drive left operation by itself (its own panel, a limit switch).
         DriveDropped = 10: "drive left operation",
         /// The drive's hardware enable (STO) went away.
-        HardwareEnable = 11: "hardware enable (STO) missing",
+        StoOpen = 11: "hardware enable (STO) missing",
         /// The application gave no sign of life within the heartbeat time.
         Heartbeat = 12: "application silent",
         /// The application gave no sign of life within the heartbeat time.
@@ -230,7 +230,7 @@ pub struct DriveStatus {
     /// In the target window, as the drive reports it.
     pub in_target: bool,
     /// The drive's hardware enable (STO) is missing: power cannot come on.
-    pub inhibited: bool,
+    pub sto_open: bool,
     /// The reply could be that of an earlier request (no sequence number on this wire).
     pub suspect: bool,
     /// The monitored variables, in the units of the plan; `None` where no variable is configured, or it is not set
@@ -344,7 +344,7 @@ impl Feedback {
             | u64::from(status.in_target) << 2
             | u64::from(status.suspect) << 3
             | u64::from(self.rtt_ns.is_some()) << 4
-            | u64::from(status.inhibited) << 5
+            | u64::from(status.sto_open) << 5
             | (self.link as u64) << 8
             | (status.state as u64) << 16
             | self.stopped.map_or(0, |cause| cause as u64) << 24
@@ -387,7 +387,7 @@ impl Packed for Feedback {
             moving: flags & 2 != 0,
             in_target: flags & 4 != 0,
             suspect: flags & 8 != 0,
-            inhibited: flags & 32 != 0,
+            sto_open: flags & 32 != 0,
             position: f64::from_bits(words[3]),
             demand: f64::from_bits(words[4]),
             velocity: f64::from_bits(words[5]),
@@ -434,7 +434,7 @@ mod tests {
                 moving: false,
                 in_target: true,
                 suspect: true,
-                inhibited: true,
+                sto_open: true,
                 position: -1.25,
                 demand: 3.5,
                 velocity: f64::MIN,

@@ -69,7 +69,7 @@ pub struct DriveRecord {
     /// Moving, as the drive reports it.
     pub moving: bool,
     /// The drive's hardware enable (STO) is missing.
-    pub inhibited: bool,
+    pub sto_open: bool,
     /// The request left so long after the grid point, ns; `None` = none left in this cycle.
     pub phase_ns: Option<NonZeroU32>,
     /// Difference between the distance to its request before and that of their grid points, ns.
@@ -162,7 +162,7 @@ impl DriveRecord {
             stopped,
             command,
             moving: status.moving,
-            inhibited: status.inhibited,
+            sto_open: status.sto_open,
             phase_ns,
             jitter_ns,
             rtt_ns,
@@ -252,7 +252,7 @@ mod tests {
         let status = DriveStatus {
             state: State::Fault,
             moving: true,
-            inhibited: true,
+            sto_open: true,
             ..DriveStatus {
                 current: 0.25,
                 velocity: 0.5,
@@ -266,7 +266,7 @@ mod tests {
         let shown = DriveRecord::new(of, Measured { rtt_ns: measured(0), ..Measured::default() }, &status);
         assert_eq!((shown.index, shown.axis, shown.rtt_ns), (7, 3, NonZeroU32::new(1)));
         assert_eq!((shown.link, shown.command), (Link::Online, 5));
-        assert_eq!((shown.state, shown.moving, shown.inhibited), (State::Fault, true, true));
+        assert_eq!((shown.state, shown.moving, shown.sto_open), (State::Fault, true, true));
         assert_eq!((shown.fault, shown.warning), (1, 2));
         assert_eq!((shown.current, shown.velocity, shown.position, shown.demand), (0.25, 0.5, 3.0, 4.0));
         assert_eq!(measured(u64::MAX), NonZeroU32::new(u32::MAX));

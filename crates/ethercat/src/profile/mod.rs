@@ -466,7 +466,7 @@ impl Profile {
 
     /// Its hardware enable was missing when it was last commanded to switch on, not long ago.
     #[inline]
-    pub(super) fn is_inhibited(&self) -> bool {
+    pub(super) fn is_sto_open(&self) -> bool {
         self.dark_at.is_some_and(|dark_at| self.grid.since(dark_at) < DARK_NS)
     }
 

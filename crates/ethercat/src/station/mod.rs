@@ -369,7 +369,7 @@ impl Station {
         evidence.reference = self.requests.reference();
         // Its own mode may have come back with this report.
         let homing = self.profile.is_homing();
-        report.inhibited = !inputs.is_powered && self.profile.is_inhibited();
+        report.sto_open = !inputs.is_powered && self.profile.is_sto_open();
         report.homed = !homing && self.requests.homed == Some(true);
         report.warning =
             if status.has(StatusWord::WARNING) { u32::from(self.seen.warning.max(1)) } else { 0 };

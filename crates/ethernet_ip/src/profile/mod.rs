@@ -58,7 +58,7 @@ pub(super) struct Seen {
     /// The absolute position, unwrapped, steps.
     pub demand: i64,
     /// The input that is its hardware enable keeps it off.
-    pub inhibited: bool,
+    pub sto_open: bool,
 }
 
 impl Seen {

@@ -169,7 +169,7 @@ impl Station {
         report.homed = status.homed();
         if !suspect {
             // A reply to an earlier request may answer another control word.
-            report.inhibited = self.profile.inhibited(at, &self.inputs, carried);
+            report.sto_open = self.profile.sto_open(at, &self.inputs, carried);
         }
         report.moving = self.inputs.moving();
         report.in_target = status.in_target();

@@ -172,8 +172,8 @@ impl Station {
         self.profile.prove(&self.conn.inputs, &mut slot.evidence);
         let report = &mut slot.status;
         report.suspect = false;
-        report.inhibited = was_dark && !status.active();
-        report.state = self.profile.state(status, report.inhibited);
+        report.sto_open = was_dark && !status.active();
+        report.state = self.profile.state(status, report.sto_open);
         report.moving = status.active() && !status.zero_speed();
         report.in_target = status.at_speed();
         (report.position, report.demand, report.current) = (f64::NAN, f64::NAN, f64::NAN);

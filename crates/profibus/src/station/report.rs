@@ -104,7 +104,7 @@ impl Station {
         let was_faulted = self.inputs.faulted();
         self.inputs.status = status;
         self.inputs.state = self.profile.state(status);
-        self.inputs.inhibited = self.profile.is_inhibited(status);
+        self.inputs.sto_open = self.profile.is_sto_open(status);
         match (was_faulted, self.inputs.faulted()) {
             (false, true) => {
                 // Its diagnosis names the fault.
@@ -115,7 +115,7 @@ impl Station {
         }
         self.profile.prove(&self.inputs, &mut slot.evidence);
         let report = &mut slot.status;
-        (report.state, report.inhibited) = (self.inputs.state, self.inputs.inhibited);
+        (report.state, report.sto_open) = (self.inputs.state, self.inputs.sto_open);
         (report.position, report.demand, report.current) = (f64::NAN, f64::NAN, f64::NAN);
         report.in_target = status & REACHED != 0;
         report.warning = u32::from(status & WARNING);

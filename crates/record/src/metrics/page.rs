@@ -134,7 +134,7 @@ const DRIVE: [Field<DriveEnd>; 17] = [
     (Count, "drive_link_losses", "Times that the link was lost.", |of| of.losses),
     (Gauge, "drive_online", "1 while the link is up.", |of| (of.feedback.link == Link::Online).into()),
     (Gauge, "drive_stopped", "1 while a stop is latched.", |of| of.feedback.stopped.is_some().into()),
-    (Gauge, "drive_inhibited", INHIBITED, |of| of.feedback.status.inhibited.into()),
+    (Gauge, "drive_sto_open", STO_OPEN, |of| of.feedback.status.sto_open.into()),
     (Gauge, "drive_fault", "Fault code, 0 = none.", |of| of.feedback.status.fault.into()),
     (Time, "drive_round_trip_max", "The longest round trip.", |of| of.peaks.rtt.ns),
     (Time, "drive_send_jitter_max", "The largest jitter of the requests.", |of| of.peaks.send_jitter.ns),
@@ -144,7 +144,7 @@ const UNSENT: &str = "Requests not sent: no connection, or refused by the operat
 const IMPLAUSIBLE: &str = "Reports that were not taken: the axis cannot be so.";
 const SUSPECT: &str = "Replies that may belong to an earlier request.";
 const REJECTED: &str = "Malformed and unmatched datagrams from its address.";
-const INHIBITED: &str = "1 while the hardware enable (STO) is missing.";
+const STO_OPEN: &str = "1 while the hardware enable (STO) is missing.";
 const LARGEST_AGE: &str = "Largest age of the feedback at the receive deadline.";
 
 /// Of drives that are reached by a connection.

@@ -84,7 +84,7 @@ pub fn axis() -> Table<At<AxisRecord>> {
             ("command".into(), Get::U32(|at| at.of.drive.command.into())),
             ("command_name".into(), Get::Named(|at| at.of.drive.command.into(), &COMMANDS)),
             ("moving".into(), Get::Bool(|at| at.of.drive.moving)),
-            ("inhibited".into(), Get::Bool(|at| at.of.drive.inhibited)),
+            ("sto_open".into(), Get::Bool(|at| at.of.drive.sto_open)),
             ("fault".into(), Get::U32(|at| at.of.drive.fault)),
             ("warning".into(), Get::U32(|at| at.of.drive.warning)),
             ("exchange".into(), Get::U32(|at| at.of.drive.reply as u32)),

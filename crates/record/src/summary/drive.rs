@@ -58,7 +58,7 @@ pub struct Drive {
     /// Actual position at the end, user units; null if the drive reports none, or was never seen.
     pub position: Option<f64>,
     /// The drive's hardware enable (STO) is missing.
-    pub inhibited: bool,
+    pub sto_open: bool,
     /// Why the axis stands stopped.
     pub stopped: Option<String>,
     /// Which axis began that stop, and why, if this one was stopped with its stop group.
@@ -156,7 +156,7 @@ impl Drive {
             notes.push(format!("fault {}", Fault { code, name: self.fault_name }));
         }
         notes.extend(self.stopped_by().map(|cause| format!("stopped: {cause}")));
-        if self.inhibited {
+        if self.sto_open {
             notes.push("hardware enable (STO) missing".to_owned());
         }
         notes.extend(self.held().map(str::to_owned));

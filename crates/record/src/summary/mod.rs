@@ -202,7 +202,7 @@ impl Summary {
                 age_cycles: feedback.age,
                 protocol_counters: ProtocolCounters::of(own, counters.own),
                 position: reported(feedback.status.position).filter(|_| feedback.link != Link::Unseen),
-                inhibited: feedback.status.inhibited,
+                sto_open: feedback.status.sto_open,
                 stopped: feedback.stopped.map(|cause| cause.to_string()),
                 begun_by: feedback.begun_by.map(|by| BegunBy {
                     axis: numbers

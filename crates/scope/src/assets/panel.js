@@ -47,7 +47,7 @@ export function axes(states, of) {
       state.stopped,
       state.fault,
       state.warning,
-      state.inhibited,
+      state.sto_open,
     ]);
     if (cell.dataset.shown !== shown) {
       cell.dataset.shown = shown;
@@ -59,7 +59,7 @@ export function axes(states, of) {
         state.stopped && [`stopped: ${state.stopped}`, "warn"],
         state.fault && [`fault ${state.fault}`, "bad"],
         state.warning && [`warning ${state.warning}`, "warn"],
-        state.inhibited && ["hardware enable (STO) missing", "warn"],
+        state.sto_open && ["hardware enable (STO) missing", "warn"],
       ];
       for (const [text, kind] of notes.filter(Boolean)) {
         const note = document.createElement("small");

@@ -227,8 +227,8 @@ impl Drive {
     }
 
     /// Opens the hardware enable (STO) until then.
-    pub fn inhibit(&mut self, until: Time) {
-        self.power.inhibit(until);
+    pub fn open_sto(&mut self, until: Time) {
+        self.power.open_sto(until);
     }
 
     fn enter(&mut self, state: AlState) {

@@ -279,9 +279,9 @@ impl SimSegment for EthercatSim {
         }
     }
 
-    fn inhibit(&mut self, place: usize, until: Time) {
+    fn open_sto(&mut self, place: usize, until: Time) {
         if let Some(drive) = self.drive(place) {
-            drive.inhibit(until);
+            drive.open_sto(until);
         }
     }
 }

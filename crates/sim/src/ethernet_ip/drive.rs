@@ -258,8 +258,8 @@ impl Drive {
     }
 
     /// Opens the hardware enable until then.
-    pub(super) fn inhibit(&mut self, until: Time) {
-        self.power.inhibit(until);
+    pub(super) fn open_sto(&mut self, until: Time) {
+        self.power.open_sto(until);
     }
 
     /// Switches the motor on or off.

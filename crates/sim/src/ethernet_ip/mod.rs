@@ -278,8 +278,8 @@ impl SimDrive for MoonsSim {
         self.booted_at = now + self.adapter.settings.boot_ns;
     }
 
-    fn inhibit(&mut self, until: Time) {
-        self.drive.inhibit(until);
+    fn open_sto(&mut self, until: Time) {
+        self.drive.open_sto(until);
     }
 }
 

@@ -258,8 +258,8 @@ impl SimDrive for LinMotSim {
         (after != After::Silence).then_some(from)
     }
 
-    fn inhibit(&mut self, until: Time) {
-        self.machine.inhibit(until);
+    fn open_sto(&mut self, until: Time) {
+        self.machine.open_sto(until);
     }
 
     fn restart(&mut self, now: Time) {

@@ -69,8 +69,8 @@ impl Drive {
     }
 
     /// Opens the hardware enable until then.
-    pub(super) fn inhibit(&mut self, until: Time) {
-        self.motor.power.inhibit(until);
+    pub(super) fn open_sto(&mut self, until: Time) {
+        self.motor.power.open_sto(until);
     }
 
     /// Advances to `now`, in whole scans.

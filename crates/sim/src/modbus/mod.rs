@@ -166,8 +166,8 @@ impl SimDrive for UnidriveSim {
         self.booted_at = now + self.settings.boot_ns;
     }
 
-    fn inhibit(&mut self, until: Time) {
-        self.drive.inhibit(until);
+    fn open_sto(&mut self, until: Time) {
+        self.drive.open_sto(until);
     }
 }
 

@@ -285,8 +285,8 @@ impl SimSerial for LenzeSim {
         self.booted_at = now + self.boot_ns;
     }
 
-    fn inhibit(&mut self, until: Time) {
-        self.slave.drive.inhibit(until);
+    fn open_sto(&mut self, until: Time) {
+        self.slave.drive.open_sto(until);
     }
 }
 

@@ -170,7 +170,7 @@ impl SimSerial for ForeignMaster {
 
     fn restart(&mut self, _now: Time) {}
 
-    fn inhibit(&mut self, _until: Time) {}
+    fn open_sto(&mut self, _until: Time) {}
 }
 
 /// Random bytes at random times.
@@ -209,5 +209,5 @@ impl SimSerial for Noise {
 
     fn restart(&mut self, _now: Time) {}
 
-    fn inhibit(&mut self, _until: Time) {}
+    fn open_sto(&mut self, _until: Time) {}
 }

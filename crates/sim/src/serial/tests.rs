@@ -148,6 +148,6 @@ fn each_fault_does_to_telegrams_what_its_name_says() {
     let (received, mut medium) = only(|plan| plan.restart = 1.0);
     assert_eq!((received.concat().len(), medium.injected().restarts), (0, 4));
     assert_eq!((slave(&mut medium, 0).restarts, slave(&mut medium, 1).restarts), (2, 2), "in turn");
-    let (_, mut medium) = only(|plan| (plan.inhibit, plan.inhibit_ns) = (1.0, 7));
-    assert!(slave(&mut medium, 1).inhibited > START);
+    let (_, mut medium) = only(|plan| (plan.sto, plan.sto_ns) = (1.0, 7));
+    assert!(slave(&mut medium, 1).sto_open > START);
 }

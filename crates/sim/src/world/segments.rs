@@ -106,8 +106,8 @@ impl World {
     }
 
     /// Opens the hardware enable (STO) of the drive at `place` for `ns`.
-    pub fn inhibit_slave(&self, interface: &str, place: usize, ns: u64) -> bool {
-        self.with_wire(interface, |wire, now| wire.segment_mut().inhibit(place, now + ns)).is_some()
+    pub fn open_sto_of_slave(&self, interface: &str, place: usize, ns: u64) -> bool {
+        self.with_wire(interface, |wire, now| wire.segment_mut().open_sto(place, now + ns)).is_some()
     }
 
     /// The wire to the segment has the faults of `plan` from now on; its counters restart.
@@ -292,9 +292,9 @@ mod tests {
         assert_eq!(exchange(3), [[3, 1, 9]]);
         assert!(world.deafen(NAME, 0, false));
         assert_eq!(exchange(4), [[4, 2, 9]]);
-        assert!(world.restart_slave(NAME, 1) && world.inhibit_slave(NAME, 0, 5));
+        assert!(world.restart_slave(NAME, 1) && world.open_sto_of_slave(NAME, 0, 5));
         let until = [world.now() + 5, Time::default()];
-        let look = |segment: &mut Tally, now| (segment.restarts, segment.inhibited, segment.lived == now);
+        let look = |segment: &mut Tally, now| (segment.restarts, segment.sto_open, segment.lived == now);
         world.advance(MS);
         assert_eq!(world.look(NAME, look), Some(([0, 1], until, true)));
     }
@@ -332,12 +332,12 @@ mod tests {
         let (world, mut carrier) = world(FaultPlan { restart: 1.0, ..FaultPlan::default() });
         (0..5).for_each(|number| drop(exchange(&world, &mut *carrier, number)));
         assert_eq!(world.look(NAME, |segment: &mut Tally, _| segment.restarts), Some([3, 2]));
-        let plan = FaultPlan { inhibit: 1.0, inhibit_ns: 7, ..FaultPlan::default() };
+        let plan = FaultPlan { sto: 1.0, sto_ns: 7, ..FaultPlan::default() };
         assert!(world.set_segment_faults(NAME, plan));
         let begin = world.now();
         (0..2).for_each(|number| drop(exchange(&world, &mut *carrier, number)));
-        let inhibited = world.look(NAME, |segment: &mut Tally, _| segment.inhibited);
-        assert_eq!(inhibited, Some([begin + 7, begin + MS + 7]));
+        let sto_open = world.look(NAME, |segment: &mut Tally, _| segment.sto_open);
+        assert_eq!(sto_open, Some([begin + 7, begin + MS + 7]));
     }
 
     #[test]

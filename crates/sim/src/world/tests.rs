@@ -42,7 +42,7 @@ impl SimDrive for Echo {
         Some(from)
     }
 
-    fn inhibit(&mut self, _until: Time) {}
+    fn open_sto(&mut self, _until: Time) {}
 
     fn restart(&mut self, _now: Time) {
         self.answered = 0;

@@ -137,8 +137,8 @@ impl World {
     }
 
     /// Opens the hardware enable (STO) of the drive at `place` for `ns`.
-    pub fn inhibit_on(&self, port: &str, place: usize, ns: u64) -> bool {
-        self.with_rail(port, |rail, now| rail.medium.inhibit(place, now + ns)).is_some()
+    pub fn open_sto_on(&self, port: &str, place: usize, ns: u64) -> bool {
+        self.with_rail(port, |rail, now| rail.medium.open_sto(place, now + ns)).is_some()
     }
 
     /// The wire has the faults of `plan` from now on; its counters restart.

@@ -239,7 +239,7 @@ impl Machine {
             }
             27 if what & 0x20 != 0 => {
                 let ns = u64::from(input.byte()) * self.period_ns;
-                self.sim.world().inhibit(address(axis), ns);
+                self.sim.world().open_sto(address(axis), ns);
             }
             27 => drop(self.sim.world().restart(address(axis))),
             28 => self.script(axis).provoke = Some(ErrorCode(input.word() & 0xFF)),

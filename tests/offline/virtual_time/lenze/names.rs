@@ -88,9 +88,9 @@ fn an_exchange_that_a_drive_cannot_take_now_is_missed_and_costs_no_start_up() {
 fn a_missing_hardware_enable_shows_and_an_enable_fails_by_name() {
     let mut m = Lenze::new(wire(1_500_000, 1), cycle());
     m.online();
-    assert!(!m.feedback(0).status.inhibited);
-    m.sim.world().inhibit_on(super::PORT, 0, 10 * S);
-    m.until("it shows", 100, |sim| sim.feedback(0).status.inhibited);
+    assert!(!m.feedback(0).status.sto_open);
+    m.sim.world().open_sto_on(super::PORT, 0, 10 * S);
+    m.until("it shows", 100, |sim| sim.feedback(0).status.sto_open);
     let end = m.end(0, Command::Enable);
     assert!(matches!(end, Some(Outcome::Failed(_))), "{end:?}");
 }

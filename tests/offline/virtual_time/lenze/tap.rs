@@ -136,8 +136,8 @@ impl SimSerial for Tap {
         self.lock().drive.restart(now);
     }
 
-    fn inhibit(&mut self, until: Time) {
-        self.lock().drive.inhibit(until);
+    fn open_sto(&mut self, until: Time) {
+        self.lock().drive.open_sto(until);
     }
 }
 
@@ -171,7 +171,7 @@ impl SimSerial for Voice {
 
     fn restart(&mut self, _: Time) {}
 
-    fn inhibit(&mut self, _: Time) {}
+    fn open_sto(&mut self, _: Time) {}
 }
 
 /// The drives of a wire, and the voice on it.

@@ -36,17 +36,17 @@ fn a_hardware_enable_that_opens_stops_the_axis_and_switches_nothing_on_when_it_c
     m.post(0, jog(1.0));
     m.run(300);
     let before = m.count(0);
-    assert!(m.sim.world().inhibit(m.io(0), 100 * MS));
+    assert!(m.sim.world().open_sto(m.io(0), 100 * MS));
     m.until("a stop", 50, |sim| sim.feedback(0).stopped.is_some());
-    assert!(m.feedback(0).status.inhibited && !m.truth(0).powered);
-    assert_eq!(m.feedback(0).stopped, Some(StopCause::HardwareEnable));
+    assert!(m.feedback(0).status.sto_open && !m.truth(0).powered);
+    assert_eq!(m.feedback(0).stopped, Some(StopCause::StoOpen));
     m.run(2_000);
-    assert!(!m.feedback(0).status.inhibited && !m.truth(0).powered);
+    assert!(!m.feedback(0).status.sto_open && !m.truth(0).powered);
     let came = m.came(0, before);
     assert!(came.iter().all(|came| came.word & command::ENABLE == 0), "{:x?}", edges(&came));
     // While it is open an enable fails, and does not come up later.
     m.done(0, Command::Reset);
-    assert!(m.sim.world().inhibit(m.io(0), 300 * MS));
+    assert!(m.sim.world().open_sto(m.io(0), 300 * MS));
     m.run(20);
     assert!(matches!(m.end(0, Command::Enable), Some(Outcome::Failed(_))));
     m.run(2_000);

@@ -197,8 +197,8 @@ impl SimDrive for Tap {
         self.lock().drive.restart(now);
     }
 
-    fn inhibit(&mut self, until: Time) {
-        self.lock().drive.inhibit(until);
+    fn open_sto(&mut self, until: Time) {
+        self.lock().drive.open_sto(until);
     }
 }
 

@@ -200,7 +200,7 @@ impl SimSerial for Serial {
         self.drive.restart(now);
     }
 
-    fn inhibit(&mut self, until: Time) {
-        self.drive.inhibit(until);
+    fn open_sto(&mut self, until: Time) {
+        self.drive.open_sto(until);
     }
 }

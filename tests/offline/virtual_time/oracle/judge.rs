@@ -369,7 +369,7 @@ impl Watch {
                     || truth.position < low - margin && truth.velocity < 0.0
             });
         let idle = moving && !commanded && self.stood;
-        let lost = [StopCause::DriveDropped, StopCause::HardwareEnable];
+        let lost = [StopCause::DriveDropped, StopCause::StoOpen];
         let is_new = latched && !std::mem::replace(&mut self.was_stopped, latched);
         self.was_stopped = latched;
         let cut = self.scale.replies_again

@@ -402,8 +402,8 @@ impl SimDrive for Tap {
         self.with(|drive| drive.restart(now));
     }
 
-    fn inhibit(&mut self, until: Time) {
-        self.with(|drive| drive.inhibit(until));
+    fn open_sto(&mut self, until: Time) {
+        self.with(|drive| drive.open_sto(until));
     }
 }
 
@@ -823,11 +823,11 @@ impl Machine {
     }
 
     /// Opens the hardware enable.
-    pub fn inhibit(&self, index: usize, ns: u64) {
+    pub fn open_sto(&self, index: usize, ns: u64) {
         match self.addresses.get(index) {
-            Some(address) => drop(self.world().inhibit(*address, ns)),
-            None if self.wire.is_some() => drop(self.world().inhibit_on(PORT, index, ns)),
-            None => drop(self.world().inhibit_slave(LINE, index, ns)),
+            Some(address) => drop(self.world().open_sto(*address, ns)),
+            None if self.wire.is_some() => drop(self.world().open_sto_on(PORT, index, ns)),
+            None => drop(self.world().open_sto_of_slave(LINE, index, ns)),
         }
     }
 

@@ -597,7 +597,7 @@ impl Run {
                 self.axes[axis].lossy = Some(turn + turns);
                 bad(self, turns);
             }
-            Op::Inhibit(ms) => self.machine.inhibit(axis, u64::from(*ms) * MS),
+            Op::OpenSto(ms) => self.machine.open_sto(axis, u64::from(*ms) * MS),
             Op::Fault => self.machine.provoke(axis),
             Op::Late(slots) => self.machine.skip((*slots).into()),
             Op::Deaf(turns) => self.deaf = self.deaf.max(turn + u64::from(*turns)),

@@ -703,7 +703,7 @@ impl Run {
                 self.machine.restart(axis);
                 bad(self, 0);
             }
-            Op::Inhibit(ms) => self.machine.inhibit(axis, u64::from(*ms) * MS),
+            Op::OpenSto(ms) => self.machine.open_sto(axis, u64::from(*ms) * MS),
             Op::Fault => self.machine.provoke(axis),
             Op::RepeatRequest { motion, back, us } => {
                 self.machine.repeat_request(axis, *motion, (*back).into(), (*us).into());

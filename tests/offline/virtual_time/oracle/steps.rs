@@ -140,7 +140,7 @@ pub enum Op {
     },
     Restart,
     /// The hardware enable is open for so many milliseconds.
-    Inhibit(u8),
+    OpenSto(u8),
     /// The drive reports a fault.
     Fault,
     /// A request of long ago comes to the drive once more; `motion`: of those with a motion command.
@@ -423,7 +423,7 @@ fn op(random: &mut Rng, shape: Shape, scales: &[Scale], axis: usize) -> Op {
         26 if !rare => Op::Unplug(random.u8(1..60)),
         27 => Op::Lose { requests: random.u8(..4), replies: random.u8(..4) },
         28 if !rare && random.u8(..4) == 0 => Op::Restart,
-        29 => Op::Inhibit(random.u8(1..30)),
+        29 => Op::OpenSto(random.u8(1..30)),
         30 => Op::Fault,
         31..=35 if repeats => Op::RepeatRequest {
             motion: random.u8(..4) > 0,
@@ -505,7 +505,7 @@ pub fn operated(random: &mut Rng, shape: Shape, scales: &[Scale]) -> Round {
         let op = match random.u8(..16) {
             0 if !rare => Op::Unplug(random.u8(1..60)),
             1 => Op::Lose { requests: random.u8(..4), replies: random.u8(..4) },
-            2 => Op::Inhibit(random.u8(1..30)),
+            2 => Op::OpenSto(random.u8(1..30)),
             3 => Op::Fault,
             4 => Op::Late(random.u8(1..14)),
             5 => Op::Deaf(random.u8(10..)),

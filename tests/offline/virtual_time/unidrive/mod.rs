@@ -359,9 +359,9 @@ fn a_missing_hardware_enable_is_told_when_the_drive_does_not_come_up() {
     for via in VIAS {
         let mut b = Bench::new(1, via, |_, drive| drive.simulate.hardware_enable = false);
         b.online();
-        assert_eq!(b.failed(0, Command::Enable), Failure::Inhibited);
+        assert_eq!(b.failed(0, Command::Enable), Failure::StoOpen);
         b.until("that it is shown", 50, |b| {
-            b.feedback(0).status.inhibited && !b.feedback(0).status.state.is_powered()
+            b.feedback(0).status.sto_open && !b.feedback(0).status.state.is_powered()
         });
         // It leaves with the next request.
         b.run(2);

@@ -19,7 +19,7 @@ fn another_master_that_switches_the_drive_off_is_named_and_no_hardware_enable_is
         });
         let took = b.sim.status().executed - begun;
         assert_eq!(b.feedback(0).stopped, Some(StopCause::OtherMaster), "{via:?}");
-        assert!(!b.feedback(0).status.inhibited && took > 2, "{via:?}: {took} cycles");
+        assert!(!b.feedback(0).status.sto_open && took > 2, "{via:?}: {took} cycles");
         // It is gone.
         b.until("power off", 5_000, |b| !b.feedback(0).status.state.is_powered());
         b.run(3_000);
@@ -43,8 +43,8 @@ fn a_keypad_and_a_short_loss_of_the_hardware_enable_are_no_other_master() {
             b.run(100);
             assert_eq!(b.feedback(0).stopped, None, "{via:?}, {n}");
         }
-        assert!(b.sim.world().inhibit(address(0), 30 * MS));
-        assert_eq!(b.stopped(0, 100), StopCause::HardwareEnable, "{via:?}");
+        assert!(b.sim.world().open_sto(address(0), 30 * MS));
+        assert_eq!(b.stopped(0, 100), StopCause::StoOpen, "{via:?}");
     }
 }
 

@@ -317,7 +317,7 @@ impl DriveController {
             Command::Reset if !self.duty.latch().is_settled() && !self.answers() => Err(Failure::NotOnline),
             Command::Reset => Ok(()),
             _ if self.feedback.link != Link::Online => Err(Failure::NotOnline),
-            Command::Enable if self.feedback.status.inhibited => Err(Failure::Inhibited),
+            Command::Enable if self.feedback.status.sto_open => Err(Failure::StoOpen),
             Command::Enable if self.commanded => Err(Failure::BeingWritten),
             Command::Disable if self.plan.load != Load::Level && state.is_powered() && !self.stands() => {
                 Err(Failure::LoadInMotion)

@@ -317,8 +317,8 @@ impl DriveController {
         }
         self.take_emergency(cycle, now, slot);
         let reported = Shows::of(&self.feedback.status);
-        if before.inhibited != reported.inhibited {
-            self.emit(cycle, now, EventKind::HardwareEnable(!reported.inhibited));
+        if before.sto_open != reported.sto_open {
+            self.emit(cycle, now, EventKind::StoClosed(!reported.sto_open));
         }
         if before.state != reported.state {
             self.emit(cycle, now, EventKind::State(reported.state));
@@ -391,7 +391,7 @@ struct EndedEarlier {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Shows {
     state: State,
-    inhibited: bool,
+    sto_open: bool,
     warning: u32,
     fault: u32,
 }
@@ -399,7 +399,7 @@ struct Shows {
 impl Shows {
     #[inline]
     fn of(status: &DriveStatus) -> Shows {
-        let DriveStatus { state, inhibited, warning, fault, .. } = *status;
-        Shows { state, inhibited, warning, fault }
+        let DriveStatus { state, sto_open, warning, fault, .. } = *status;
+        Shows { state, sto_open, warning, fault }
     }
 }

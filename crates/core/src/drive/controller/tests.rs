@@ -341,7 +341,7 @@ fn a_command_that_is_refused_leaves_what_was_requested() {
         ("a push is not yet a motion", |x| x.slot.status.velocity = 50.0, off, Failure::LoadInMotion),
         ("generator", |x| x.slot.status.moving = true, off, Failure::LoadInMotion),
         ("state", |x| x.slot.status.state = QUICK, Command::Home, Failure::WrongState(QUICK)),
-        ("no hardware enable", |x| x.slot.status.inhibited = true, Command::Enable, Failure::Inhibited),
+        ("no hardware enable", |x| x.slot.status.sto_open = true, Command::Enable, Failure::StoOpen),
     ];
     for (what, prepare, command, failure) in rows {
         let mut x = vertical(command);
@@ -797,11 +797,11 @@ fn each_change_of_the_drive_is_told_once() {
     let mut x = Alone::new(plan()).online();
     x.reported();
     let status = &mut x.slot.status;
-    (status.state, status.fault, status.warning, status.inhibited) = (State::Fault, 5, 6, true);
+    (status.state, status.fault, status.warning, status.sto_open) = (State::Fault, 5, 6, true);
     x.turns(3);
     let changes = [EventKind::State(State::Fault), EventKind::Fault(5), EventKind::Warning(6)];
-    let inhibited = EventKind::HardwareEnable(false);
-    assert_eq!(x.reported(), [[inhibited].as_slice(), &changes].concat());
+    let sto_open = EventKind::StoClosed(false);
+    assert_eq!(x.reported(), [[sto_open].as_slice(), &changes].concat());
 }
 
 #[test]

@@ -145,7 +145,7 @@ impl DriveController {
             State::OperationEnabled | State::QuickStopActive => None,
             _ if free && !restarted => None,
             State::Fault | State::FaultReactionActive => Some(StopCause::DriveFault),
-            _ if self.feedback.status.inhibited => Some(StopCause::HardwareEnable),
+            _ if self.feedback.status.sto_open => Some(StopCause::StoOpen),
             _ => Some(StopCause::DriveDropped),
         }
     }

@@ -76,8 +76,8 @@ impl DriveController {
             // It has a stamp of its own, or is that of an earlier cycle.
             _ => slot.earlier_answered().unwrap_or(status.at),
         };
-        let same = (status.state, status.inhibited, status.homed, status.suspect)
-            == (before.state, before.inhibited, before.homed, false);
+        let same = (status.state, status.sto_open, status.homed, status.suspect)
+            == (before.state, before.sto_open, before.homed, false);
         let usual = same && !self.doubt.is_open;
         if usual && self.doubt.reach.takes(sent_at, status.at, &slot.evidence) {
             return None;
@@ -115,7 +115,7 @@ impl DriveController {
         let falls = is_up(desired.power.value)
             && !self.duty.follows().is_free
             && rank(status.state) < rank(before.state);
-        let says = (falls || status.inhibited && !before.inhibited, rehomed);
+        let says = (falls || status.sto_open && !before.sto_open, rehomed);
         if says != Losses::default() && before.state != State::Unknown && self.doubt.proof > 1 {
             if !status.suspect {
                 let Doubt { losses, said, .. } = &mut self.doubt;

@@ -102,9 +102,9 @@ impl State {
                 let is_certain = evidence.fault.named && view.fresh;
                 return if is_certain { self.give_up(view.failed(), view) } else { None };
             }
-            if view.status.inhibited {
+            if view.status.sto_open {
                 self.set(rest);
-                return self.fail(Failure::Inhibited);
+                return self.fail(Failure::StoOpen);
             }
             let obstacle = evidence.obstacle.map(Failure::Unsupported);
             if let Some(failure) = obstacle.or(evidence.refused.map(Failure::from)) {
@@ -330,7 +330,7 @@ impl State {
                 self.begin_step(view.now, Step::Released);
                 None
             }
-            Step::Released if report.inhibited => self.give_up(Failure::Inhibited, view),
+            Step::Released if report.sto_open => self.give_up(Failure::StoOpen, view),
             Step::Released if report.state != Cia402::OperationEnabled => None,
             Step::Released if report.moving && can.stands_ns > 0 => {
                 // A reference of its own moves it: it stands only while it is halted.

@@ -16,7 +16,7 @@ enum What {
     Warning,
     Emergency,
     Stopped,
-    HardwareEnable,
+    StoClosed,
     MissedInGroup,
     Underrun,
     Restarted,
@@ -37,7 +37,7 @@ enum What {
     NotOnline,
     Limit,
     NotPositive,
-    Inhibited,
+    StoOpen,
     LoadInMotion,
     GroupRefused,
     NotHomed,
@@ -101,7 +101,7 @@ impl EventRecord {
                 EventRecord { code: register, ..number(What::Emergency, code.into()) }
             }
             EventKind::Stopped(cause) => number(What::Stopped, cause as u32),
-            EventKind::HardwareEnable(closed) => number(What::HardwareEnable, closed.into()),
+            EventKind::StoClosed(closed) => number(What::StoClosed, closed.into()),
             EventKind::MissedInGroup => number(What::MissedInGroup, 0),
             EventKind::Underrun => number(What::Underrun, 0),
             EventKind::Restarted => number(What::Restarted, 0),
@@ -143,7 +143,7 @@ impl EventRecord {
             Failure::NotPositive { what, value } => {
                 EventRecord { text: what, values: [value, 0.0, 0.0], ..number(What::NotPositive, 0) }
             }
-            Failure::Inhibited => number(What::Inhibited, 0),
+            Failure::StoOpen => number(What::StoOpen, 0),
             Failure::LoadInMotion => number(What::LoadInMotion, 0),
             Failure::GroupRefused => number(What::GroupRefused, 0),
             Failure::NotHomed => number(What::NotHomed, 0),
@@ -170,7 +170,7 @@ impl EventRecord {
                 EventKind::Emergency(Emergency { code, register: self.code })
             }
             What::Stopped => EventKind::Stopped(self.cause()?),
-            What::HardwareEnable => EventKind::HardwareEnable(self.number != 0),
+            What::StoClosed => EventKind::StoClosed(self.number != 0),
             What::MissedInGroup => EventKind::MissedInGroup,
             What::Underrun => EventKind::Underrun,
             What::Restarted => EventKind::Restarted,
@@ -203,7 +203,7 @@ impl EventRecord {
             What::NotOnline => Failure::NotOnline,
             What::Limit => Failure::Limit { what: self.text, value, low, high },
             What::NotPositive => Failure::NotPositive { what: self.text, value },
-            What::Inhibited => Failure::Inhibited,
+            What::StoOpen => Failure::StoOpen,
             What::LoadInMotion => Failure::LoadInMotion,
             What::GroupRefused => Failure::GroupRefused,
             What::NotHomed => Failure::NotHomed,
@@ -241,7 +241,7 @@ mod tests {
             Failure::NotOnline,
             Failure::Limit { what: "position", value: 1e300, low: -0.1, high: 60.000_000_000_1 },
             Failure::NotPositive { what: "velocity", value: -1.0 },
-            Failure::Inhibited,
+            Failure::StoOpen,
             Failure::LoadInMotion,
             Failure::GroupRefused,
             Failure::NotHomed,
@@ -272,8 +272,8 @@ mod tests {
             EventKind::Fault(u32::MAX),
             EventKind::Warning(3),
             EventKind::Emergency(Emergency { code: u16::MAX, register: 8 }),
-            EventKind::HardwareEnable(true),
-            EventKind::HardwareEnable(false),
+            EventKind::StoClosed(true),
+            EventKind::StoClosed(false),
             EventKind::MissedInGroup,
             EventKind::Underrun,
             EventKind::Restarted,

@@ -292,7 +292,7 @@ mod tests {
                 stopped: Some(StopCause::GroupFailed),
                 command: 12,
                 moving: true,
-                inhibited: true,
+                sto_open: true,
                 was_online: true,
                 phase_ns: measured(1),
                 jitter_ns: None,

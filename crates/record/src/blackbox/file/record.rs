@@ -52,7 +52,7 @@ fn pass(record: &mut Record, bytes: &mut Bytes<'_>) -> Option<()> {
                 None => None,
                 Some(place) => Some(*StopCause::ALL.get(place)?),
             };
-            bytes.flags([&mut d.moving, &mut d.inhibited, &mut d.was_online])?;
+            bytes.flags([&mut d.moving, &mut d.sto_open, &mut d.was_online])?;
             bytes.all(&mut [&mut 0_u8, &mut d.index])?;
             bytes.wide(&mut d.axis)?;
             bytes.all(&mut [&mut d.phase_ns, &mut d.jitter_ns, &mut d.rtt_ns, &mut d.age_ns])?;

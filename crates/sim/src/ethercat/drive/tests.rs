@@ -297,7 +297,7 @@ fn a_fault_stops_the_motor_and_is_reset_by_a_rising_edge() {
 #[test]
 fn without_its_hardware_enable_it_has_no_power() {
     let mut bench = Bench::turning(1_000, 100);
-    bench.drive.inhibit(bench.now + 50 * MS);
+    bench.drive.open_sto(bench.now + 50 * MS);
     bench.cycle();
     assert_eq!(bench.status().state(), State::SwitchOnDisabled);
     [0x06, 0x07, 0x0F].into_iter().for_each(|word| bench.control(word));

@@ -431,7 +431,7 @@ fn the_hardware_enable_takes_the_power_and_does_not_give_it_back() {
     let mut bench = Bench::enabled(|settings| settings.motor.enable = Some(Wired { input: 4, closed: true }));
     assert_eq!(bench.sim.drive.report().main, 0xF7);
     assert_eq!(after(&mut bench, JOG, &SLOWLY, 100), 1 | JOGGING);
-    bench.sim.inhibit(bench.now + 100 * MS);
+    bench.sim.open_sto(bench.now + 100 * MS);
     bench.idle_for(50 * MS);
     assert_eq!((bench.status(), bench.sim.drive.report().main), (0, 0xFF));
     assert_eq!(after(&mut bench, ENABLE, &[], 100), 0);

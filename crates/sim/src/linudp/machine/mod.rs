@@ -266,8 +266,8 @@ impl Machine {
     }
 
     /// Opens the hardware enable until then.
-    pub(super) fn inhibit(&mut self, until: Time) {
-        self.power.inhibit(until);
+    pub(super) fn open_sto(&mut self, until: Time) {
+        self.power.open_sto(until);
     }
 
     /// Ends a running command table, the motion of a drive that was found running, and pressing; only the position

@@ -65,7 +65,7 @@ fn without_the_hardware_enable_nothing_is_active_and_a_run_bit_that_stands_runs_
     let mut bench = Bench::enabled(1_500);
     bench.settled(C::FORWARD);
     assert_eq!(bench.read(parameter("06.029")), 1);
-    bench.sim.inhibit(bench.now + 200 * MS);
+    bench.sim.open_sto(bench.now + 200 * MS);
     bench.wait(MS);
     assert_eq!((bench.status().active(), bench.read(parameter("06.029"))), (false, 0));
     bench.wait(198 * MS);

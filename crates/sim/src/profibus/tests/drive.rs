@@ -58,7 +58,7 @@ fn the_open_hardware_enable_takes_the_power_and_is_shown() {
     let mut bench = up(|_| ());
     bench.enable();
     bench.hold(200 * MS, 0x7F, 0x1000);
-    bench.medium.inhibit(0, bench.now + 300 * MS);
+    bench.medium.open_sto(0, bench.now + 300 * MS);
     let status = bench.hold(2 * MS, 0x7F, 0x1000).0;
     assert_eq!(status & 0x5F, 0x40, "{status:04X}");
     // It gets ready, and not on.
@@ -145,14 +145,14 @@ fn profidrive_has_its_own_words_and_ignores_them_without_bit_10() {
     assert!((bench.rpm() - 750.0).abs() < 1.0);
     let status = bench.hold(400 * MS, 0x047E, 0x2000).0;
     assert_eq!((status & 0x7F, bench.rpm()), (0x31, 0.0));
-    for (word, rpm, inhibited) in [(0x047D, 700.0..750.0, 0x60), (0x047B, 0.0..600.0, 0x50)] {
+    for (word, rpm, sto_open) in [(0x047D, 700.0..750.0, 0x60), (0x047B, 0.0..600.0, 0x50)] {
         bench.hold(4 * MS, 0x047E, 0);
         bench.hold(600 * MS, 0x047F, 0x2000);
         bench.hold(20 * MS, word, 0x2000);
         let now = bench.rpm();
         assert!(rpm.contains(&now), "{word:X}: {now}");
         let status = bench.hold(1_000 * MS, word, 0x2000).0;
-        assert_eq!(status & 0x70, inhibited, "{word:X}: {status:X}");
+        assert_eq!(status & 0x70, sto_open, "{word:X}: {status:X}");
         // Without a new ON it stays inhibited.
         assert_eq!(bench.words(0x047F, 0).0 & 0x47, 0x40);
     }

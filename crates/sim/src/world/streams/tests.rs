@@ -81,7 +81,7 @@ impl SimDrive for Line {
         reply[0] ^= 0x80;
     }
 
-    fn inhibit(&mut self, _until: Time) {}
+    fn open_sto(&mut self, _until: Time) {}
 
     fn restart(&mut self, _now: Time) {
         assert_eq!(self.peers.count(), 0, "a restart ends all connections");

@@ -114,9 +114,9 @@ fn faults_and_settings_of_a_wire_can_be_changed_in_between() {
     assert_eq!((exchange(2), world.wire_injected(PORT).unwrap().dropped), (vec![], 1));
     assert!(world.set_wire_faults(PORT, FaultPlan::default()) && world.restart_on(PORT, 0));
     assert_eq!(exchange(3), [135, 3, 1]);
-    assert!(world.inhibit_on(PORT, 1, MS));
+    assert!(world.open_sto_on(PORT, 1, MS));
     let until = world.now() + MS;
-    assert_eq!(world.look_on(PORT, 1, |slave: &mut Slave, _| slave.inhibited), Some(until));
+    assert_eq!(world.look_on(PORT, 1, |slave: &mut Slave, _| slave.sto_open), Some(until));
     drop(port);
     let other = SerialLine { parity: Parity::None, ..Slave::LINE };
     let mut port = world.serial(PORT, &other).unwrap();

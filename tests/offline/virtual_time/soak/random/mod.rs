@@ -72,7 +72,7 @@ fn a_group_is_not_moved_again_of_which_a_drive_was_stopped_after_it_was_found_ru
     let patterns = [191, 493, 725]
         .map(|hold_ms| Pattern::Velocities { velocities: vec![4.0, -6.0, 1.0], hold_ns: hold_ms * MS });
     let step = |at, op| Step { at, axis: 1, op };
-    let steps = vec![step(104, Op::Kill(1)), step(107, Op::Inhibit(50))];
+    let steps = vec![step(104, Op::Kill(1)), step(107, Op::OpenSto(50))];
     let sequence = Sequence { shape, patterns: patterns.into(), before: None, steps };
     if let (Err(found), _, story) = judged(&sequence, &sequence.steps) {
         panic!("{found:?}\n{}", story.join("\n"));
@@ -88,7 +88,7 @@ fn a_drive_that_runs_again_by_the_control_word_of_a_dead_master_is_stopped() {
     // Before a master has found it running, and in each part of a round of its requests.
     for at in 6..12 {
         let step = |axis, op| Step { at, axis, op };
-        let steps = vec![step(0, Op::Kill(1)), step(1, Op::Inhibit(500))];
+        let steps = vec![step(0, Op::Kill(1)), step(1, Op::OpenSto(500))];
         let sequence = Sequence { shape, patterns: patterns.clone(), before: Some((324, 10)), steps };
         let (result, _, story) = judged(&sequence, &sequence.steps);
         let story = story.join("\n");

@@ -399,7 +399,7 @@ impl Run {
                 self.guards[axis].restarted();
                 bad(self, 0);
             }
-            Op::Inhibit(ms) => self.machine.inhibit(axis, u64::from(ms) * MS),
+            Op::OpenSto(ms) => self.machine.open_sto(axis, u64::from(ms) * MS),
             Op::Fault => self.machine.provoke(axis),
             Op::Silence => self.machine.silence(axis),
             Op::Relapse(turns) => {

@@ -16,7 +16,7 @@ pub enum Op {
     Unplug(u16),
     Restart,
     /// The hardware enable is open for so many ms.
-    Inhibit(u16),
+    OpenSto(u16),
     /// The drive reports a fault, or that its master was silent; or this, and again so many turns
     /// after it was reset.
     Fault,
@@ -81,7 +81,7 @@ fn op(random: &mut Rng) -> Op {
     match random.u8(..32) {
         0..=4 => Op::Unplug(choice(random, &[2, 15, 50, 350])),
         5 | 6 => Op::Restart,
-        7..=9 => Op::Inhibit(choice(random, &[5, 50, 500])),
+        7..=9 => Op::OpenSto(choice(random, &[5, 50, 500])),
         10..=12 => Op::Fault,
         13 => Op::Silence,
         20 => Op::Relapse(random.u8(..15)),
@@ -95,7 +95,7 @@ fn op(random: &mut Rng) -> Op {
 }
 
 /// What is likely while a process begins.
-const EARLY: [Op; 6] = [Op::Fault, Op::Silence, Op::Relapse(5), Op::Unplug(15), Op::Inhibit(50), Op::Restart];
+const EARLY: [Op; 6] = [Op::Fault, Op::Silence, Op::Relapse(5), Op::Unplug(15), Op::OpenSto(50), Op::Restart];
 
 /// The test of a seed.
 pub fn drawn(seed: u64) -> Sequence {

@@ -47,7 +47,7 @@ const LOSSES: [fn(&mut DriveStatus); 7] = [
     |status| (status.state, status.fault) = (State::Fault, 5),
     |status| status.state = State::FaultReactionActive,
     |status| status.state = State::NotReadyToSwitchOn,
-    |status| status.inhibited = true,
+    |status| status.sto_open = true,
     |status| status.homed = false,
 ];
 

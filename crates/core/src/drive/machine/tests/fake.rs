@@ -51,7 +51,7 @@ pub struct Drive {
     // What a test makes of it.
     pub delay: usize,
     pub is_halted_by_halt: bool,
-    pub inhibited: bool,
+    pub sto_open: bool,
     pub home_fails: bool,
     /// The fault comes back after each reset.
     pub persists: bool,
@@ -128,7 +128,7 @@ impl Drive {
             restarts: 0,
             delay: 1,
             is_halted_by_halt: true,
-            inhibited: false,
+            sto_open: false,
             home_fails: false,
             persists: false,
             code: 0,
@@ -265,7 +265,7 @@ impl Drive {
         };
         let before = std::mem::replace(&mut self.before, word);
         let next = match Transition::caused(self.state, word, before).map(|transition| transition.to) {
-            _ if self.inhibited && self.state == State::ReadyToSwitchOn && power != Power::Off => return,
+            _ if self.sto_open && self.state == State::ReadyToSwitchOn && power != Power::Off => return,
             Some(State::OperationEnabled)
                 if self.state == State::QuickStopActive && !self.can.leaves_quick_stop =>
             {
@@ -338,7 +338,7 @@ impl Drive {
             state: self.state,
             homed: self.homed,
             moving: self.is_moving(),
-            inhibited: self.inhibited && !self.state.is_powered(),
+            sto_open: self.sto_open && !self.state.is_powered(),
             position,
             demand,
             velocity,

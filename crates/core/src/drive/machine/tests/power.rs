@@ -58,24 +58,24 @@ fn what_does_not_come_up_goes_back_to_where_it_was_and_says_why() {
     for can in kinds() {
         let mut rig = found(can, Cia402::SwitchedOn);
         rig.drive.state = Cia402::SwitchedOn;
-        rig.drive.inhibited = true;
+        rig.drive.sto_open = true;
         // It has power, and is found so; then it loses that, and none comes back.
         rig.start(Command::Enable);
         rig.drive.state = Cia402::ReadyToSwitchOn;
-        assert_eq!(rig.finish(), Err(Failure::Inhibited), "{can:?}");
+        assert_eq!(rig.finish(), Err(Failure::StoOpen), "{can:?}");
         assert_eq!(rig.power(), Power::SwitchOn, "{can:?}: where it was found");
 
         // In operation it would come back by itself.
         let mut rig = Rig::enabled(can);
         rig.start(Command::Enable);
-        rig.drive.inhibited = true;
+        rig.drive.sto_open = true;
         rig.drive.state = Cia402::SwitchOnDisabled;
-        assert_eq!(rig.finish(), Err(Failure::Inhibited), "{can:?}");
+        assert_eq!(rig.finish(), Err(Failure::StoOpen), "{can:?}");
         assert_eq!(rig.power(), Power::Off, "{can:?}");
 
         let mut rig = Rig::new(can);
-        rig.drive.inhibited = true;
-        assert_eq!(rig.run(Command::Enable), Err(Failure::Inhibited), "{can:?}");
+        rig.drive.sto_open = true;
+        assert_eq!(rig.run(Command::Enable), Err(Failure::StoOpen), "{can:?}");
         assert_eq!(rig.power(), Power::Off);
 
         // What is known, before it and on the way.
