@@ -313,9 +313,7 @@ impl Program {
     pub fn spawn(command: &mut Command) -> Program {
         command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
         // Its files and sockets are not to lie among those of whoever runs the tests.
-        if command.get_envs().all(|(set, _)| set != "XDG_RUNTIME_DIR") {
-            directories_of(command, nix::unistd::geteuid().as_raw());
-        }
+        directories_of(command, nix::unistd::geteuid().as_raw());
         let mut child = loop {
             match command.spawn() {
                 Ok(child) => break child,
@@ -530,7 +528,11 @@ pub fn as_ordinary_user(machine: &Machine) -> Command {
 /// Sets the directories for the program's sockets and files.
 pub fn directories_of(command: &mut Command, user: u32) {
     let directory = std::env::temp_dir().join(format!("fieldbeat-tests-{user}"));
-    command.env("XDG_RUNTIME_DIR", &directory).env("XDG_STATE_HOME", &directory);
+    for name in ["XDG_RUNTIME_DIR", "XDG_STATE_HOME"] {
+        if command.get_envs().all(|(set, _)| set != name) {
+            command.env(name, &directory);
+        }
+    }
 }
 
 /// `planned = executed + skipped`, each counted on its own, and `sent = answered + missed` of each drive.
