@@ -551,6 +551,17 @@ fn a_move_goes_to_a_place_along_the_ramps_that_it_names() {
     assert!((bench.axis().position.unwrap() - from).abs() < 0.1 && bench.axis().commands.is_empty());
 }
 
+/// As the page of the scope writes it.
+#[test]
+fn a_move_may_leave_its_ramps_out() {
+    let step = serde_json::json!({ "move": { "target": { "by": -1.5 }, "velocity": 2.0 } });
+    assert_eq!(serde_json::from_value::<Order>(step).unwrap(), Order::step(-1.5, 2.0));
+    let to = serde_json::json!({ "move": { "target": { "to": 3.0 } } });
+    let known = Order::Move { target: Goal::To(3.0), velocity: None, acceleration: None };
+    assert_eq!(serde_json::from_value::<Order>(to).unwrap(), known);
+    assert!(serde_json::from_value::<Order>(serde_json::json!({ "move": { "velocity": 2.0 } })).is_err());
+}
+
 #[test]
 fn an_axis_without_a_dead_man_does_not_jog() {
     let without =
