@@ -39,7 +39,7 @@ fn shows(ended: &Ended, shown: &str) -> bool {
     }
 }
 
-/// Runs these commands one after the other, each with what it prints; a late host begins anew.
+/// Runs these commands one after the other, each with what it prints; a late host begins again.
 #[track_caller]
 fn script(config: &Path, commands: &[(&str, &str)]) -> Vec<Ended> {
     let mut ends = Vec::new();
@@ -292,7 +292,7 @@ fn a_fault_is_named_and_reset_from_the_shell() {
     assert!(ended.err.starts_with("fieldbeat: axis d0: move aborted: "), "{}", ended.err);
     let refused = axis(&config, "d0 enable").end();
     refused.failed(&["axis d0 has fault ", "remove its cause, then `fieldbeat axis ", " d0 reset`"]);
-    // Where the drive is asked too seldom the reset may fail, and says so.
+    // Where the drive is exchanged with too seldom the reset may fail, and says so.
     assert!(until(LONG, || axis(&config, "d0 reset").end().code == Some(0)));
     script(&config, &[("d0 enable", "OperationEnabled"), ("d0 disable", "power off")]);
 }

@@ -123,20 +123,27 @@ impl Set {
 
     /// Several parameters, in one request.
     fn set_several(&self, values: &[String], interrupt: &Interrupt) -> Result<(), Stop> {
-        let mut raw = Vec::new();
+        let mut written = Vec::new();
         let check = |notation: &dyn Notation| {
             let block = notation.block(&self.address, values.len());
             let block = block.map_err(wrong(&self.drive, "write", &self.address))?;
-            for (address, value) in block.addresses.iter().zip(values) {
-                let known = self.count(notation, address, value);
-                raw.push(known.map_err(wrong(&self.drive, "write", address))?);
+            for (address, value) in block.addresses.into_iter().zip(values) {
+                let known = self.count(notation, &address, value);
+                let known = known.map_err(wrong(&self.drive, "write", &address))?;
+                written.push((address, known));
             }
             Ok(())
         };
         let reach = Reach::open(&self.drive, check, interrupt)?;
         let notation = reach.notation();
+        let raw: Vec<u64> = written.iter().map(|(_, raw)| *raw).collect();
         reach.access().write_several(&self.address, &raw).map_err(|error| not_written(&reach, error))?;
-        let read = reach.access().read_several(&self.address, raw.len()).map_err(failed)?;
+        let read = match reach.access().read_several(&self.address, raw.len()) {
+            Ok(read) => read,
+            // What cannot be read was written all the same.
+            Err(ParameterError::Refused { .. }) => written,
+            Err(error) => return Err(failed(error)),
+        };
         tell_all(&reach, &read, self.json)?;
         let others = read
             .iter()

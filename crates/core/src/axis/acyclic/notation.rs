@@ -350,8 +350,8 @@ impl Access<'_> {
 
     /// Reads `count` parameters from `address` on in one request: the address of each, and its raw value.
     pub fn read_several(&self, address: &str, count: usize) -> Result<Vec<(String, u64)>, ParameterError> {
-        let asked = Request::read(self.drive, address);
-        let block = self.notation.block(address, count).map_err(|error| asked.wrong(error))?;
+        let several = Request::read(self.drive, address);
+        let block = self.notation.block(address, count).map_err(|error| several.wrong(error))?;
         let bytes = count * block.bytes;
         let request = Request::read(self.drive, &block.shown());
         let answers = self.run(&request, &long::read_several(block.address, count, bytes))?;
@@ -365,8 +365,8 @@ impl Access<'_> {
     /// Writes these raw values to parameters from `address` on, in one request. An error names the parameter that was
     /// refused; those before it were written then.
     pub fn write_several(&self, address: &str, values: &[u64]) -> Result<(), ParameterError> {
-        let asked = Request { access: "write", ..Request::read(self.drive, address) };
-        let block = self.notation.block(address, values.len()).map_err(|error| asked.wrong(error))?;
+        let several = Request { access: "write", ..Request::read(self.drive, address) };
+        let block = self.notation.block(address, values.len()).map_err(|error| several.wrong(error))?;
         let one = |place: usize| {
             let (address, raw) = (&block.addresses[place], values[place]);
             Request::write(self.drive, address, self.notation.show(address, raw))
