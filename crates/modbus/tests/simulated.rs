@@ -54,6 +54,6 @@ fn several_parameters_are_written_and_read_by_one_call_each() {
     parameters.write_several("20.021", &many).unwrap();
     assert_eq!(parameters.read_several("20.021", 20), Ok(many));
     let refused = parameters.write_several("01.022", &[1, 600_000]).unwrap_err().to_string();
-    assert!(refused.starts_with("drive u: write 01.023 = 600000 "), "{refused}");
+    assert!(refused.starts_with("drive u: write 01.023 = 60000.0 rpm "), "{refused}");
     assert!(parameters.read_several::<u32>("20.021", 61).is_err());
 }

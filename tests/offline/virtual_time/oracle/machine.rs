@@ -1082,7 +1082,7 @@ impl Machine {
     pub fn write(&mut self, index: usize, address: &str, value: &str) {
         let acyclic = self.sim.acyclics()[index].clone();
         let notation = acyclic.notation();
-        let raw = notation.value(address, value).unwrap_or_else(|error| panic!("{address}: {error}"));
+        let raw = notation.in_unit(address, value).unwrap_or_else(|error| panic!("{address}: {error}"));
         if let Ok(call) = notation.write(address, raw)
             && let Ok(ticket) = acyclic.post(call, Duration::from_millis(300))
         {

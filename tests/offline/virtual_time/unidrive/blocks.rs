@@ -99,7 +99,7 @@ fn three_parameters_are_written_and_read_by_the_telegrams_of_the_manual() {
 fn what_the_drive_refuses_is_named_and_what_stands_before_it_is_written() {
     let mut b = bench();
     let refused = write(&mut b, "01.022", &[100, 600_000, 300]).unwrap_err().to_string();
-    assert!(refused.starts_with("drive u0: write 01.023 = 600000 "), "{refused}");
+    assert!(refused.starts_with("drive u0: write 01.023 = 60000.0 rpm "), "{refused}");
     let parts = ["did not take it and gave no error code", "; those before it were written"];
     assert!(parts.iter().all(|part| refused.contains(part)), "{refused}");
     let values: Vec<i32> = read(&mut b, "01.022", 3).unwrap().into_iter().map(|(_, value)| value).collect();
