@@ -1082,7 +1082,9 @@ impl Machine {
     pub fn write(&mut self, index: usize, address: &str, value: &str) {
         let acyclic = self.sim.acyclics()[index].clone();
         let notation = acyclic.notation();
-        let raw = notation.in_unit(address, value).unwrap_or_else(|error| panic!("{address}: {error}"));
+        // A count, or a value with a point.
+        let raw = notation.value(address, value).or_else(|_| notation.in_unit(address, value));
+        let raw = raw.unwrap_or_else(|error| panic!("{address}: {error}"));
         if let Ok(call) = notation.write(address, raw)
             && let Ok(ticket) = acyclic.post(call, Duration::from_millis(300))
         {
