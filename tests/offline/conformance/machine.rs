@@ -39,9 +39,22 @@ impl Machine {
         cycle: CyclePlan,
         options: WorldOptions,
     ) -> Machine {
+        Machine::proposing(subject, count, change, cycle, options, None)
+    }
+
+    /// One that builds requests, too, which do not leave, of this seed.
+    pub fn proposing(
+        subject: &'static dyn Subject,
+        count: usize,
+        change: impl Fn(usize, &mut Drive),
+        cycle: CyclePlan,
+        options: WorldOptions,
+        proposals: Option<u64>,
+    ) -> Machine {
         assert_eq!(cycle.period_ns, PERIOD);
         let drives = line::drives(subject, count, change);
         let (wire, simulated) = Wire::new(subject, &drives);
+        wire.log().proposals = proposals;
         // The grid begins two periods after the first look at the clock.
         let origin = options.start + options.read_ns + 2 * PERIOD;
         let plan = Plan { source: None, cycle, buses: vec![Box::new(wire.clone())], groups: Vec::new() };

@@ -160,6 +160,7 @@ macro_rules! clauses {
                 found_running_is_stopped_or_left_alone_as_its_plan_says,
                 a_fault_of_the_drive_latches_its_axis,
                 the_same_seed_is_the_same_run_to_the_byte,
+                what_is_built_and_does_not_leave_has_no_effect,
                 the_end_of_the_master_leaves_every_drive_at_standstill_and_off,
                 a_grid_with_skipped_slots_owes_nothing_for_them,
             },

@@ -2,16 +2,17 @@
 
 use std::time::Duration;
 
-use fieldbeat::CyclePlan;
 use fieldbeat::axis::{
     Abort, Command, Failure, FoundRunning, Health, Link, Outcome, State, StopCause, StopHow, StopThen,
 };
 use fieldbeat::sim::{FaultPlan, WorldOptions};
 use fieldbeat::time::{MS, US};
+use fieldbeat::{CyclePlan, Time};
 
 use crate::conformance::line::PERIOD;
 use crate::conformance::machine::Machine;
 use crate::conformance::subject::{Can, Subject, not_applicable};
+use crate::conformance::wire::Delivery;
 
 pub fn good_exchanges_in_a_row_bring_the_link_up(subject: &'static dyn Subject) {
     let gate = 6;
@@ -385,10 +386,18 @@ pub fn a_fault_of_the_drive_latches_its_axis(subject: &'static dyn Subject) {
     assert_eq!((m.feedback(1).stopped, m.outcome(1, ids[1])), (None, None), "its neighbour goes on");
 }
 
-/// A stormy run in numbers: what went over the wire, and how it ended.
-fn storm(subject: &'static dyn Subject, seed: u64) -> (u64, u64, String) {
+/// A stormy run: what went over the wire, in numbers and each request to each drive, and how it ended.
+#[derive(PartialEq)]
+struct Stormy {
+    digest: u64,
+    delivered: u64,
+    requests: Vec<Vec<(Time, Vec<u8>)>>,
+    end: String,
+}
+
+fn storm(subject: &'static dyn Subject, seed: u64, proposals: Option<u64>) -> Stormy {
     let options = WorldOptions { seed, wake_ns: 60_000, ..WorldOptions::default() };
-    let mut m = Machine::of(subject, 3, |_, _| {}, CyclePlan::default(), options);
+    let mut m = Machine::proposing(subject, 3, |_, _| {}, CyclePlan::default(), options, proposals);
     // A connection that is lost is opened by a handshake, which has to pass as well.
     let rate = if m.can.stream { 0.1 } else { 1.0 };
     for index in 0..3 {
@@ -421,7 +430,10 @@ fn storm(subject: &'static dyn Subject, seed: u64) -> (u64, u64, String) {
         m.step();
         m.assert_grid();
     }
-    let numbers = (m.world().digest(), m.world().delivered());
+    let (digest, delivered) = (m.world().digest(), m.world().delivered());
+    let request = |received: &Delivery| (received.at, received.request.clone());
+    let requests = |index| m.tape(index, |tape| tape.received.iter().map(request).collect());
+    let requests = (0..3).map(requests).collect();
     for index in 0..3 {
         m.faults(index, FaultPlan::default());
     }
@@ -440,13 +452,25 @@ fn storm(subject: &'static dyn Subject, seed: u64) -> (u64, u64, String) {
     // A slave that faults keep out of operation misses nothing, but nothing is sent to it.
     let unanswered: u64 = end.drives.iter().map(|drive| drive.counters.missed + drive.counters.unsent).sum();
     assert!(end.status.skipped > 0 && unanswered > 0, "{:?}", end.status);
-    (numbers.0, numbers.1, format!("{end:?}"))
+    Stormy { digest, delivered, requests, end: format!("{end:?}") }
 }
 
 pub fn the_same_seed_is_the_same_run_to_the_byte(subject: &'static dyn Subject) {
-    let one = storm(subject, 1);
-    assert!(one == storm(subject, 1), "the same seed, another run");
-    assert_ne!(one.0, storm(subject, 2).0, "the digest sees what goes over the wire");
+    let one = storm(subject, 1, None);
+    assert!(one == storm(subject, 1, None), "the same seed, another run");
+    assert_ne!(one.digest, storm(subject, 2, None).digest, "the digest sees what goes over the wire");
+}
+
+pub fn what_is_built_and_does_not_leave_has_no_effect(subject: &'static dyn Subject) {
+    // So each request is built anew, too, and is the same to the byte.
+    for seed in 1..4 {
+        let (plain, proposing) = (storm(subject, seed, None), storm(subject, seed, Some(seed)));
+        for (index, (one, other)) in plain.requests.iter().zip(&proposing.requests).enumerate() {
+            let differs = one.iter().zip(other).find(|(one, other)| one != other);
+            assert_eq!(differs, None, "seed {seed}, drive {index}");
+        }
+        assert!(plain == proposing, "seed {seed}");
+    }
 }
 
 pub fn the_end_of_the_master_leaves_every_drive_at_standstill_and_off(subject: &'static dyn Subject) {

@@ -1,6 +1,7 @@
 //! What goes over the wire, written down on its way: drives and carriers that tell what passed through them, and that
 //! misbehave where the world's faults cannot (a drive that hears and acts but is not heard, a refused send).
 
+mod proposing;
 mod serial;
 
 use std::io;
@@ -19,6 +20,7 @@ use fieldbeat_core::net::{
 };
 use fieldbeat_core::rt::Regions;
 
+use self::proposing::Proposing;
 use self::serial::{TappedSerial, TappedSlave};
 use crate::conformance::subject::{Drive, NoMessage, Said, Subject};
 
@@ -121,6 +123,8 @@ pub struct Log {
     pub sends: u64,
     /// On a line, the last frame that passed, as it left.
     pub frame: Vec<u8>,
+    /// The seed of requests that are built and do not leave, before those that do.
+    pub proposals: Option<u64>,
 }
 
 /// A bus plan whose wire is written down.
@@ -280,7 +284,12 @@ impl BusPlan for Wire {
     crate::forward_bus_plan!(plan);
 
     fn open(&self, period_ns: u64, carriers: &dyn Carriers) -> Result<Box<dyn Bus>, OpenError> {
-        self.plan.open(period_ns, &Tapped { carriers, wire: self })
+        let bus = self.plan.open(period_ns, &Tapped { carriers, wire: self })?;
+        let proposals = self.log().proposals;
+        Ok(match proposals {
+            Some(seed) => Box::new(Proposing::new(bus, seed)),
+            None => bus,
+        })
     }
 }
 

@@ -1,0 +1,135 @@
+//! A bus that builds requests which never leave: before each one that does, others, of which nothing may be seen.
+
+use std::os::fd::RawFd;
+use std::sync::Arc;
+
+use fastrand::Rng;
+use fieldbeat::axis::{NativeOwner, Profile};
+use fieldbeat::telemetry::Unmatched;
+use fieldbeat::{Cycle, Time};
+use fieldbeat_core::bus::counters::BusClock;
+use fieldbeat_core::bus::desired::{Desired, Intent, Mode, Motion, Power};
+use fieldbeat_core::bus::native::{NativeBytes, WantedOutputs};
+use fieldbeat_core::bus::{Bus, Ends, LastResort, Notes, Slot};
+use fieldbeat_core::rt::Regions;
+
+/// Serials that the loop does not come to.
+const PROPOSED: u64 = 1 << 40;
+
+/// The bus, and what is drawn.
+pub struct Proposing {
+    bus: Box<dyn Bus>,
+    random: Rng,
+    serial: u64,
+    /// For which send something is built, as the loop said it last.
+    cycle: Option<Cycle>,
+}
+
+impl Proposing {
+    pub fn new(bus: Box<dyn Bus>, seed: u64) -> Proposing {
+        Proposing { bus, random: Rng::with_seed(seed), serial: PROPOSED, cycle: None }
+    }
+
+    fn intent<T>(&mut self, value: T, before: Intent<T>) -> Intent<T> {
+        if self.random.bool() {
+            return before;
+        }
+        self.serial += 1;
+        Intent { serial: self.serial, value }
+    }
+
+    /// What might be desired in place of this.
+    fn other(&mut self, desired: &Desired, at: f64) -> Desired {
+        let random = &mut self.random;
+        let profile = Profile {
+            velocity: random.f64() * 100.0 + 1.0,
+            acceleration: random.f64() * 1_000.0 + 1.0,
+            deceleration: random.f64() * 1_000.0 + 1.0,
+        };
+        let owner = [NativeOwner::Master, NativeOwner::Application][random.usize(..2)];
+        let motions = [
+            Motion::Hold,
+            Motion::Move { position: at + random.f64() * 10.0, profile },
+            Motion::Velocity { velocity: profile.velocity, acceleration: profile.acceleration },
+            Motion::Ramp { deceleration: profile.deceleration },
+            Motion::Follow,
+            Motion::EndStream,
+            Motion::Halt,
+            Motion::Home,
+            Motion::Native(owner),
+        ];
+        let powers = [
+            Power::Off,
+            Power::Shutdown,
+            Power::SwitchOn,
+            Power::EnableOperation,
+            Power::QuickStop,
+            Power::FaultReset,
+        ];
+        let (power, motion) = (powers[random.usize(..powers.len())], motions[random.usize(..motions.len())]);
+        let mode = [Mode::AsIs, Mode::Own, Mode::Homing][random.usize(..3)];
+        let mut setpoint = desired.setpoint;
+        setpoint.position += random.f64();
+        setpoint.velocity += random.f64();
+        Desired {
+            power: self.intent(power, desired.power),
+            mode: self.intent(mode, desired.mode),
+            motion: self.intent(motion, desired.motion),
+            setpoint,
+        }
+    }
+
+    /// Builds something else, some times, and then what is desired.
+    fn propose(&mut self, cycle: &Cycle, slots: &mut [Slot]) {
+        let desired: Vec<Desired> = slots.iter().map(|slot| slot.desired).collect();
+        for _ in 0..self.random.u8(..3) {
+            for (slot, desired) in slots.iter_mut().zip(&desired) {
+                // One that is only read, and one that is as it should be, stand next to it.
+                if desired.power.serial != 0 && self.random.u8(..4) > 0 {
+                    slot.desired = self.other(desired, slot.status.position);
+                }
+            }
+            self.bus.prepare(cycle, slots);
+            slots.iter_mut().zip(&desired).for_each(|(slot, desired)| slot.desired = *desired);
+        }
+        self.bus.prepare(cycle, slots);
+    }
+}
+
+impl Bus for Proposing {
+    fn prepare(&mut self, cycle: &Cycle, slots: &mut [Slot]) {
+        self.propose(cycle, slots);
+        self.cycle = Some(*cycle);
+    }
+
+    fn send(&mut self, cycle: &Cycle, slots: &mut [Slot]) {
+        if let Some(built_for) = self.cycle.take()
+            && self.random.bool()
+        {
+            self.propose(&built_for, slots);
+        }
+        self.bus.send(cycle, slots);
+    }
+
+    crate::forward! { this => this.bus;
+        fn name(&self) -> &str;
+        fn memory(&self, regions: &mut Regions);
+        fn fd(&self) -> Option<RawFd>;
+        fn receive(&mut self, cycle: &Cycle, slots: &mut [Slot]);
+        fn poll_at(&self) -> Option<Time>;
+        fn poll(&mut self, cycle: &Cycle, now: Time, slots: &mut [Slot]);
+        fn waited_for(&self, cycle: &Cycle, slots: &[Slot]) -> usize;
+        fn last_resort(&mut self) -> Option<Box<dyn LastResort>>;
+        fn shut_down(&mut self, cycle: &Cycle, slots: &mut [Slot]) -> bool;
+        fn unmatched(&self) -> Unmatched;
+        fn ends(&mut self) -> Option<&mut Ends>;
+        fn native_bytes(&self, index: usize, since: Time, outputs: WantedOutputs, bytes: &mut NativeBytes)
+            -> Option<Time>;
+        fn notes(&self) -> Option<Arc<dyn Notes>>;
+        fn helper_ended(&self) -> bool;
+        fn is_one_frame(&self) -> bool;
+        fn lead(&mut self);
+        fn phase_error(&mut self) -> Option<i64>;
+        fn clock(&self) -> Option<BusClock>;
+    }
+}
