@@ -233,7 +233,12 @@ impl Bus for LinUdpBus {
         self.take_in(false, slots);
         let mut has_earlier = false;
         for (index, (station, slot)) in self.stations.iter_mut().zip(slots.iter_mut()).enumerate() {
-            self.outbox.post(index, slot.due && !self.is_ending);
+            let goes = slot.due && !self.is_ending;
+            if goes && station.is_void() {
+                let length = station.prepare(cycle, slot, self.outbox.room(index));
+                self.outbox.set_length(index, length);
+            }
+            self.outbox.post(index, goes);
             if matches!(slot.exchange, Exchange::Owed { .. }) {
                 station.owe(slot);
             }

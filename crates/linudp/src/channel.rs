@@ -21,7 +21,7 @@ const MOST_TRIES: u32 = 4;
 /// run in the drive since, or the reply is an old one that was delivered once more. One answer is right for both: the
 /// command is repeated with the same count. A drive that has it ignores that, any other one runs it; and until its echo
 /// comes again it is not accepted.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct MotionChannel {
     /// The count of the newest command; before the first one, the count that the drive has stored, as far as known.
     pub(super) count: Option<u8>,

@@ -10,12 +10,13 @@ use super::last::PowerSent;
 use super::motion::{
     Acceleration, MotionCommand, Position, SignedAcceleration, SignedVelocity, StreamCommand, Velocity,
 };
-use super::native::{NativeOutput, NativePort};
+use super::native::NativePort;
 use super::plan::LinUdpDrive;
 use super::wire::{ControlWord, MainState, MotionBlock, RtcBlock, StateVar, StatusWord};
 use fieldbeat_core::axis::Lacks;
 use fieldbeat_core::axis::command::NativeOwner;
 use fieldbeat_core::axis::units::Units;
+use fieldbeat_core::bus::Prepared;
 use fieldbeat_core::bus::desired::{
     Capabilities, Desired, Evidence, FaultIs, Generator, Homing, Motion, Power, Ranges, Refused, Resettable,
     Setpoint, Velocities,
@@ -102,41 +103,46 @@ pub(super) struct Carried {
     control_before: Option<ControlWord>,
 }
 
-/// The profile of one drive. What each exchange touches comes first.
-#[derive(Debug)]
-#[repr(C)]
-pub(super) struct Profile {
-    /// What the prepared request carries.
-    prepared: Serials,
+/// What the requests that left have led to.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct State {
+    /// What the last one carried.
+    serials: Serials,
+    /// Its control word, and that of the one before.
     control: Option<ControlWord>,
-    /// The newest reply was clean and proves all that was sent: the next one that says the same proves the same, and
-    /// the requests carry the control word alone, until something else is desired.
-    steady: bool,
-    /// Native mode runs.
-    is_native: bool,
+    control_before: Option<ControlWord>,
+    channel: MotionChannel,
     /// The motion is a command of the channel: its echo proves it.
     is_command: bool,
-    /// What the last request that went out carried.
-    sent: Serials,
-    /// The control words of the last request that went out, and of the one before.
-    control_sent: Option<ControlWord>,
-    control_before: Option<ControlWord>,
-    /// The count of the motion command of the last request that went out, as long as something is not proved.
-    count_sent: Option<u8>,
-    channel: MotionChannel,
-    voltage: Voltage,
     /// None of the counts was taken, or the drive must not have this command.
     refused: Option<Refused>,
     /// The control word of the application, in native mode.
     native_control: Option<ControlWord>,
-    /// The native output of the next request. It stays until that has gone out: a request may be built more than
-    /// once for one send, and a send may fail.
-    native: Option<NativeOutput>,
+    /// The block of a native output, in the last request only.
+    native_config: Option<RtcBlock>,
+    /// So many native outputs were carried.
+    native_taken: u32,
+}
+
+/// The profile of one drive. What each exchange touches comes first.
+#[derive(Debug)]
+#[repr(C)]
+pub(super) struct Profile {
+    state: Prepared<State>,
+    /// The blocks of the prepared request.
+    outputs: Outputs,
+    voltage: Voltage,
+    rules: Rules,
+    /// For the last resort.
+    power_sent: PowerSent,
+}
+
+/// What the plan says of the drive.
+#[derive(Debug)]
+struct Rules {
     units: Units,
     stream: Option<StreamCommand>,
     sto_after_ns: u64,
-    /// For the last resort.
-    power_sent: PowerSent,
 }
 
 /// Whether the drive lets its power stage come on, as the requests allow it.
@@ -187,24 +193,12 @@ pub(super) fn capabilities(drive: &LinUdpDrive) -> Capabilities {
 
 impl Profile {
     pub(super) fn new(drive: &LinUdpDrive) -> Profile {
+        let LinUdpDrive { axis, stream, sto_after, .. } = drive;
         Profile {
-            units: drive.axis.units,
-            stream: drive.stream,
-            sto_after_ns: nanos(drive.sto_after),
+            state: Prepared::new(State::default()),
+            outputs: Outputs::default(),
             voltage: Voltage::Unknown,
-            prepared: Serials::default(),
-            sent: Serials::default(),
-            control: None,
-            control_sent: None,
-            control_before: None,
-            count_sent: None,
-            channel: MotionChannel::default(),
-            is_command: false,
-            refused: None,
-            native_control: None,
-            native: None,
-            is_native: false,
-            steady: false,
+            rules: Rules { units: axis.units, stream: *stream, sto_after_ns: nanos(*sto_after) },
             power_sent: PowerSent::default(),
         }
     }
@@ -219,141 +213,109 @@ impl Profile {
         self.power_sent.clone()
     }
 
-    /// Another clean reply that says the same proves the same.
+    /// The revision of what its requests and the replies have led to.
     #[inline]
-    pub(super) fn is_steady(&self) -> bool {
-        self.steady
+    pub(super) fn revision(&self) -> u64 {
+        self.state.revision()
     }
 
-    /// The next request has the blocks of the last one: the control word alone, or none.
-    #[inline]
-    pub(super) fn repeats(&self, desired: &Desired) -> bool {
-        self.steady && self.prepared == Serials::of(desired)
+    /// Behind a clean reply: another one that says the same proves the same, as long as the revision is the same.
+    pub(super) fn is_settled(&self) -> bool {
+        let State { control, control_before, channel, .. } = self.state.left();
+        control == control_before && channel.is_settled() && !matches!(self.voltage, Voltage::Missing { .. })
     }
 
-    /// The control word of the prepared request.
+    /// The blocks of the next request, if they are those of the last one that was built.
     #[inline]
-    pub(super) fn control(&self) -> Option<ControlWord> {
-        self.control
+    pub(super) fn holds(&self, desired: &Desired) -> Option<Outputs> {
+        let holds = self.state.holds(desired.revision())
+            && desired.setpoint.row == self.state.left().serials.row
+            && !matches!(desired.motion.value, Motion::Native(_));
+        holds.then_some(self.outputs)
+    }
+
+    /// A reply has changed what the next request was built from.
+    #[inline]
+    pub(super) fn is_void(&self) -> bool {
+        self.state.is_void()
     }
 
     /// The blocks of the next request.
     pub(super) fn encode(&mut self, desired: &Desired, inputs: &Inputs, native: &mut NativePort) -> Outputs {
         let Desired { power, motion, setpoint, .. } = desired;
-        let serials = Serials::of(desired);
-        let before = std::mem::replace(&mut self.prepared, serials);
-        self.steady &= before == serials;
-        if motion.serial != before.motion {
-            self.begin(motion.value, inputs, native);
+        let (serials, rules) = (Serials::of(desired), &self.rules);
+        let state = self.state.propose(desired.revision());
+        let before = std::mem::replace(&mut state.serials, serials);
+        let begins = motion.serial != before.motion;
+        state.native_config = None;
+        if begins {
+            state.begin(rules, motion.value, inputs);
         }
-        if setpoint.row != before.row {
-            // Otherwise a stream was replaced before its row left, and this is the setpoint before that.
-            if setpoint.row > self.sent.row {
-                self.stream_row(setpoint, inputs);
+        if setpoint.row > before.row {
+            if let Some(command) = rules.row(setpoint, inputs) {
+                state.channel.stream(command);
             }
+        } else {
+            // A stream was replaced before its row left, and this is the setpoint before that.
+            state.serials.row = before.row;
         }
-        let owner = match motion.value {
-            Motion::Native(owner) => Some(owner),
-            _ => None,
-        };
-        self.channel.avoid_clash();
-        self.is_native = owner.is_some();
-        native.runs(self.is_native);
-        if let Some(owner) = owner {
-            self.take_native(owner, inputs, native);
+        state.channel.avoid_clash();
+        // What the application has written before the mode begins is dropped.
+        if let Motion::Native(owner) = motion.value
+            && !begins
+        {
+            state.take_native(owner, inputs, native);
         }
-        self.control = self.native_control.or_else(|| control(power.value, motion.value));
-        Outputs {
-            control: self.control,
-            motion: self.channel.block(),
-            config: self.native.and_then(|output| output.config),
-        }
+        state.control_before = state.control;
+        state.control = state.native_control.or_else(|| control(power.value, motion.value));
+        self.outputs =
+            Outputs { control: state.control, motion: state.channel.block(), config: state.native_config };
+        state.channel.sent();
+        self.outputs
     }
 
-    /// Another motion is desired.
-    fn begin(&mut self, motion: Motion, inputs: &Inputs, native: &mut NativePort) {
-        self.channel.clear();
-        (self.native, self.native_control, self.refused) = (None, None, None);
-        native.flush();
-        let command = match motion {
-            Motion::Move { position, profile } => Some(MotionCommand::vai_go_to(
-                self.position(position, inputs),
-                Velocity(self.unsigned(profile.velocity, VELOCITY)),
-                self.acceleration(profile.acceleration),
-                self.acceleration(profile.deceleration),
-            )),
-            Motion::Ramp { deceleration } => Some(MotionCommand::vai_stop(self.acceleration(deceleration))),
-            Motion::EndStream => Some(MotionCommand::stream_end()),
-            // Its velocities are moves.
-            Motion::Velocity { .. } => None,
-            Motion::Hold | Motion::Follow | Motion::Halt | Motion::Home | Motion::Native(_) => None,
-        };
-        self.is_command = command.is_some();
-        if let Some(command) = command {
-            self.channel.send(command);
-        }
-    }
-
-    /// The last built request has gone out.
+    /// The last built request has gone out, for what is desired.
     #[inline]
-    pub(super) fn sent(&mut self) {
-        if !self.steady {
-            self.note_sent();
+    pub(super) fn sent(&mut self, motion: Motion, native: &mut NativePort) {
+        if let Some(before) = self.state.leave() {
+            self.note_sent(&before, motion, native);
         }
     }
 
     #[inline(never)]
-    fn note_sent(&mut self) {
-        self.sent = self.prepared;
-        self.control_before = std::mem::replace(&mut self.control_sent, self.control);
-        if self.control_before != self.control_sent {
-            self.power_sent.note(self.control_sent);
+    fn note_sent(&mut self, before: &State, motion: Motion, native: &mut NativePort) {
+        let state = self.state.left();
+        if state.control != before.control {
+            self.power_sent.note(state.control);
         }
-        self.native = None;
-        self.channel.sent();
-        self.count_sent = self.channel.sent_count();
+        if state.native_taken != before.native_taken {
+            native.pop();
+        }
+        if state.serials.motion != before.serials.motion {
+            native.flush();
+            native.runs(matches!(motion, Motion::Native(_)));
+        }
     }
 
     /// What the last request that went out carried.
     pub(super) fn carried(&self) -> Carried {
-        let Profile { sent: serials, count_sent: count, control_sent: control, control_before, .. } = *self;
-        Carried { serials, count, control, control_before }
+        let State { serials, control, control_before, channel, .. } = *self.state.left();
+        Carried { serials, count: channel.sent_count(), control, control_before }
     }
 
     /// The drive came back from a restart: earlier commands are lost. Its count starts anew, and is reported before the
     /// next command is sent.
     pub(super) fn drive_restarted(&mut self) {
-        self.steady = false;
-        self.channel.clear();
-        self.native_control = self.native_control.map(|_| ControlWord::BASE);
+        self.state.change(|state| {
+            state.channel.clear();
+            state.native_control = state.native_control.map(|_| ControlWord::BASE);
+        });
     }
 
     /// What a reply proves; `clean`: it can be no older one.
     pub(super) fn take(&mut self, inputs: &Inputs, clean: bool, evidence: &mut Evidence) {
-        self.steady = clean
-            && !self.is_native
-            && self.sent == self.prepared
-            && (self.control_before, self.control_sent) == (self.control, self.control);
-        if let Some(echo) = inputs.state.count() {
-            if clean && self.sent.row != 0 && self.channel.count == Some(echo) {
-                evidence.accepted.row = self.sent.row;
-            }
-            if self.channel.take(echo, clean, inputs.foreign).is_err() {
-                self.refused = Some(Refused::NotTaken);
-            }
-        }
-        if clean {
-            evidence.accepted.power = self.sent.power;
-            if !self.is_command || self.channel.is_accepted() {
-                evidence.accepted.motion = self.sent.motion;
-            }
-        }
-        if self.is_command && !self.channel.is_accepted() {
-            // Somebody else's command has run since.
-            evidence.accepted.motion = evidence.accepted.motion.min(self.sent.motion.saturating_sub(1));
-        }
+        self.state.change(|state| state.take(inputs, clean, evidence));
         self.report(inputs, evidence);
-        self.steady &= self.channel.is_settled();
     }
 
     /// The same of a reply to a request that carried this: newer ones have left, or the next one is built.
@@ -364,31 +326,13 @@ impl Profile {
         clean: bool,
         evidence: &mut Evidence,
     ) {
-        let Carried { serials, count, .. } = *carried;
-        self.steady = false;
-        if let Some(echo) = inputs.state.count() {
-            if clean && serials.row != 0 && count == Some(echo) {
-                evidence.accepted.row = evidence.accepted.row.max(serials.row);
-            }
-            if self.channel.take_earlier(echo, count, clean, inputs.foreign).is_err() {
-                self.refused = Some(Refused::NotTaken);
-            }
-        }
-        if clean {
-            evidence.accepted.power = evidence.accepted.power.max(serials.power);
-        }
-        if clean && [serials.motion, self.prepared.motion] == [self.sent.motion; 2] {
-            evidence.accepted.motion = match !self.is_command || self.channel.is_accepted() {
-                true => serials.motion,
-                false => evidence.accepted.motion.min(serials.motion.saturating_sub(1)),
-            };
-        }
+        self.state.change(|state| state.take_earlier(inputs, carried, clean, evidence));
         self.report(inputs, evidence);
     }
 
     /// What the states report.
     fn report(&self, inputs: &Inputs, evidence: &mut Evidence) {
-        evidence.refused = self.refused;
+        evidence.refused = self.state.left().refused;
         evidence.stays_on = inputs.status.has(StatusWord::SWITCH_ON_ACTIVE);
         let operates = inputs.state.main() == MainState::OPERATION_ENABLED;
         (evidence.ready, evidence.homing) = (true, Homing::Open);
@@ -418,56 +362,6 @@ impl Profile {
         }
     }
 
-    /// Takes the next native output once the previous one has gone out, and its motion was echoed.
-    fn take_native(&mut self, owner: NativeOwner, inputs: &Inputs, native: &mut NativePort) {
-        if self.native.is_some() || self.refused.is_some() {
-            return;
-        }
-        let free = self.channel.is_free() || inputs.state.count().is_none();
-        let Some(output) = native.next(free) else { return };
-        if output.motion.is_some_and(|command| command.id == MotionCommand::reset_firmware().id) {
-            // With any count but 0 the drive restarts again and again (sheet, 4.3), and with 0 it does nothing if that
-            // is what it has stored.
-            let why = "00Fx needs a count that this master does not send; restart the drive by its parameter \
-                 channel";
-            self.refused = Some(Refused::Because(why));
-            return;
-        }
-        if owner == NativeOwner::Application && output.control.is_some() {
-            self.native_control = output.control;
-        }
-        if let Some(command) = output.motion {
-            self.channel.send(command);
-        }
-        self.native = Some(output);
-    }
-
-    fn stream_row(&mut self, setpoint: &Setpoint, inputs: &Inputs) {
-        let Some(command) = self.stream else { return };
-        let position = self.position(setpoint.position, inputs);
-        let signed = |value: f64, scale: f64| (value * self.units.counts_per_unit * scale).round() as i32;
-        let velocity = SignedVelocity(signed(setpoint.velocity, VELOCITY));
-        let acceleration = SignedAcceleration(signed(setpoint.acceleration, ACCELERATION));
-        self.channel.stream(MotionCommand::stream(command, position, velocity, acceleration));
-    }
-
-    /// The count of a rotary axis wraps around, in the drive as here.
-    fn position(&self, position: f64, inputs: &Inputs) -> Position {
-        let from = if self.units.modulo.is_some() { inputs.demand } else { 0 };
-        let counts = ((position - self.units.offset) * self.units.counts_per_unit).round();
-        let way = (counts - from as f64) as i32;
-        Position((from + i64::from(way)) as i32)
-    }
-
-    fn acceleration(&self, acceleration: f64) -> Acceleration {
-        Acceleration(self.unsigned(acceleration, ACCELERATION))
-    }
-
-    /// Not zero: with a zero the drive would never arrive. What the wire cannot carry was refused before.
-    fn unsigned(&self, value: f64, scale: f64) -> u32 {
-        ((value * self.units.counts_per_unit.abs() * scale).round() as u32).max(1)
-    }
-
     /// The drive reports that its power stage may not come on although the last requests allowed it: an input of
     /// its own, such as the hardware enable (STO), prevents it. According to the sheet the bit is that of the
     /// control word as the drive sees it, its own inputs included; that a missing STO shows in it was not seen on
@@ -490,8 +384,128 @@ impl Profile {
         };
         let Voltage::Missing { since, lost } = self.voltage else { return false };
         // Time alone may make it true.
-        self.steady = false;
-        lost || at.since(since) >= self.sto_after_ns
+        lost || at.since(since) >= self.rules.sto_after_ns
+    }
+}
+
+impl State {
+    /// Another motion is desired.
+    fn begin(&mut self, rules: &Rules, motion: Motion, inputs: &Inputs) {
+        self.channel.clear();
+        (self.native_control, self.refused) = (None, None);
+        let command = match motion {
+            Motion::Move { position, profile } => Some(MotionCommand::vai_go_to(
+                rules.position(position, inputs),
+                Velocity(rules.unsigned(profile.velocity, VELOCITY)),
+                rules.acceleration(profile.acceleration),
+                rules.acceleration(profile.deceleration),
+            )),
+            Motion::Ramp { deceleration } => Some(MotionCommand::vai_stop(rules.acceleration(deceleration))),
+            Motion::EndStream => Some(MotionCommand::stream_end()),
+            // Its velocities are moves.
+            Motion::Velocity { .. } => None,
+            Motion::Hold | Motion::Follow | Motion::Halt | Motion::Home | Motion::Native(_) => None,
+        };
+        self.is_command = command.is_some();
+        if let Some(command) = command {
+            self.channel.send(command);
+        }
+    }
+
+    /// Takes the next native output, once the motion of the previous one was echoed.
+    fn take_native(&mut self, owner: NativeOwner, inputs: &Inputs, native: &mut NativePort) {
+        if self.refused.is_some() {
+            return;
+        }
+        let free = self.channel.is_free() || inputs.state.count().is_none();
+        let Some(output) = native.peek().filter(|output| free || output.motion.is_none()) else { return };
+        self.native_taken = self.native_taken.wrapping_add(1);
+        if output.motion.is_some_and(|command| command.id == MotionCommand::reset_firmware().id) {
+            // With any count but 0 the drive restarts again and again (sheet, 4.3), and with 0 it does nothing if that
+            // is what it has stored.
+            let why = "00Fx needs a count that this master does not send; restart the drive by its parameter \
+                 channel";
+            self.refused = Some(Refused::Because(why));
+            return;
+        }
+        if owner == NativeOwner::Application && output.control.is_some() {
+            self.native_control = output.control;
+        }
+        if let Some(command) = output.motion {
+            self.channel.send(command);
+        }
+        self.native_config = output.config;
+    }
+
+    fn take(&mut self, inputs: &Inputs, clean: bool, evidence: &mut Evidence) {
+        let serials = self.serials;
+        if let Some(echo) = inputs.state.count() {
+            if clean && serials.row != 0 && self.channel.count == Some(echo) {
+                evidence.accepted.row = serials.row;
+            }
+            if self.channel.take(echo, clean, inputs.foreign).is_err() {
+                self.refused = Some(Refused::NotTaken);
+            }
+        }
+        if clean {
+            evidence.accepted.power = serials.power;
+            if !self.is_command || self.channel.is_accepted() {
+                evidence.accepted.motion = serials.motion;
+            }
+        }
+        if self.is_command && !self.channel.is_accepted() {
+            // Somebody else's command has run since.
+            evidence.accepted.motion = evidence.accepted.motion.min(serials.motion.saturating_sub(1));
+        }
+    }
+
+    fn take_earlier(&mut self, inputs: &Inputs, carried: &Carried, clean: bool, evidence: &mut Evidence) {
+        let Carried { serials, count, .. } = *carried;
+        if let Some(echo) = inputs.state.count() {
+            if clean && serials.row != 0 && count == Some(echo) {
+                evidence.accepted.row = evidence.accepted.row.max(serials.row);
+            }
+            if self.channel.take_earlier(echo, count, clean, inputs.foreign).is_err() {
+                self.refused = Some(Refused::NotTaken);
+            }
+        }
+        if clean {
+            evidence.accepted.power = evidence.accepted.power.max(serials.power);
+        }
+        if clean && serials.motion == self.serials.motion {
+            evidence.accepted.motion = match !self.is_command || self.channel.is_accepted() {
+                true => serials.motion,
+                false => evidence.accepted.motion.min(serials.motion.saturating_sub(1)),
+            };
+        }
+    }
+}
+
+impl Rules {
+    /// The command of a row.
+    fn row(&self, setpoint: &Setpoint, inputs: &Inputs) -> Option<MotionCommand> {
+        let position = self.position(setpoint.position, inputs);
+        let signed = |value: f64, scale: f64| (value * self.units.counts_per_unit * scale).round() as i32;
+        let velocity = SignedVelocity(signed(setpoint.velocity, VELOCITY));
+        let acceleration = SignedAcceleration(signed(setpoint.acceleration, ACCELERATION));
+        Some(MotionCommand::stream(self.stream?, position, velocity, acceleration))
+    }
+
+    /// The count of a rotary axis wraps around, in the drive as here.
+    fn position(&self, position: f64, inputs: &Inputs) -> Position {
+        let from = if self.units.modulo.is_some() { inputs.demand } else { 0 };
+        let counts = ((position - self.units.offset) * self.units.counts_per_unit).round();
+        let way = (counts - from as f64) as i32;
+        Position((from + i64::from(way)) as i32)
+    }
+
+    fn acceleration(&self, acceleration: f64) -> Acceleration {
+        Acceleration(self.unsigned(acceleration, ACCELERATION))
+    }
+
+    /// Not zero: with a zero the drive would never arrive. What the wire cannot carry was refused before.
+    fn unsigned(&self, value: f64, scale: f64) -> u32 {
+        ((value * self.units.counts_per_unit.abs() * scale).round() as u32).max(1)
     }
 }
 

@@ -20,6 +20,15 @@ pub struct Desired {
     pub setpoint: Setpoint,
 }
 
+impl Desired {
+    /// Its revision: the newest of its intents, whose serials all come from one count. Another one is another revision,
+    /// setpoints are not.
+    #[inline]
+    pub fn revision(&self) -> u64 {
+        self.power.serial.max(self.mode.serial).max(self.motion.serial)
+    }
+}
+
 /// One part of what is desired. A new serial is a new intent, even with the same value: it is carried out once.
 /// Setpoints are values, and have none.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

@@ -6,6 +6,7 @@
 //! | `desired` | what the loop wants of a drive, and what shows that the drive has it |
 //! | `counters` | exact counts of a drive's exchanges, and of what belongs to no drive |
 //! | `diagnosis` | why a drive is not online, from these counts |
+//! | `prepared` | [`Prepared`]: what is built and has not left |
 //! | `plan`, `error` | [`BusPlan`]: a bus as configured, before any socket is open; why it cannot be opened |
 //! | `load` | what its exchanges put on its wire |
 //! | `native` | the native process data of a drive for a recording |
@@ -23,6 +24,7 @@ mod error;
 pub mod load;
 pub mod native;
 mod plan;
+pub mod prepared;
 pub mod reader;
 pub mod variant;
 
@@ -31,3 +33,4 @@ pub use self::counters::{BusClock, Counters, OwnCounter, ProtocolCounters, Unmat
 pub use self::drives::Ends;
 pub use self::error::OpenError;
 pub use self::plan::{BusPlan, Grid};
+pub use self::prepared::Prepared;

@@ -49,8 +49,9 @@ pub struct Station {
     /// The slot that the prepared request is for.
     grid: Time,
     identity: Identity,
-    /// Another clean reply with the same states changes nothing but positions, as far as this station knows.
-    settled: bool,
+    /// Another clean reply with the same states changes nothing but positions, as long as this is the revision of the
+    /// profile.
+    settled: Option<u64>,
     /// The channel has nothing to send, and calls that command the drive are refused or not as it knows.
     idle: bool,
     guarded: bool,
@@ -96,7 +97,7 @@ impl Station {
             inputs: Inputs::default(),
             starts: false,
             error: None,
-            settled: false,
+            settled: None,
             idle: false,
             guarded: false,
             shows: shown,
@@ -144,24 +145,33 @@ impl Station {
     #[inline]
     pub fn prepare(&mut self, cycle: &Cycle, slot: &mut Slot, out: &mut [u8]) -> usize {
         self.grid = cycle.grid;
-        let repeats = self.profile.repeats(&slot.desired)
-            && slot.link == Link::Online
+        let is_quiet = slot.link == Link::Online
             && !self.tagged
             && self.idle
             && self.guarded == slot.guarded
             && !self.rtc.is_called();
-        if !repeats {
+        let Some(Outputs { control, motion, .. }) = self.profile.holds(&slot.desired).filter(|_| is_quiet)
+        else {
             return self.build(cycle, slot, out);
-        }
-        (slot.commanded, slot.expected_silence, self.probing) = (false, false, false);
-        let request = Request {
-            response_def: self.identity.response_def(),
-            control: self.profile.control(),
-            ..Request::default()
         };
-        self.other.prepare(None);
+        (slot.commanded, slot.expected_silence, self.probing) = (false, false, false);
+        let request =
+            Request { response_def: self.identity.response_def(), control, motion, ..Request::default() };
+        self.emit(&request, None, out)
+    }
+
+    /// What came since the last request was built has changed what it was built from.
+    #[inline]
+    pub fn is_void(&self) -> bool {
+        self.profile.is_void()
+    }
+
+    /// Writes the request, whose reply echoes this tag.
+    #[inline]
+    fn emit(&mut self, request: &Request, tag: Option<u8>, out: &mut [u8]) -> usize {
+        self.other.prepare(request.motion.map(|block| (block.header & 0xF) as u8));
         let (request_def, response) = (request.definition(), request.response_def);
-        self.identity.prepared = Echo { request: request_def, response, tag: None };
+        self.identity.prepared = Echo { request: request_def, response, tag };
         request.emit(out)
     }
 
@@ -204,14 +214,8 @@ impl Station {
         if request.config.is_some() {
             request.response_def = request.response_def.with(ResponseDef::CONFIG);
         }
-        self.other.prepare(request.motion.map(|block| (block.header & 0xF) as u8));
-        self.identity.prepared = Echo {
-            request: request.definition(),
-            response: request.response_def,
-            tag: tag.map(|block| block.count()),
-        };
         (self.idle, self.guarded) = (self.rtc.is_idle(), slot.guarded);
-        request.emit(out)
+        self.emit(&request, tag.map(|block| block.count()), out)
     }
 
     /// The request was handed to the wire.
@@ -225,7 +229,7 @@ impl Station {
         }
         slot.counters.sent += 1;
         slot.exchange = Exchange::Owed { sent_at, reply_by, awaited: true };
-        self.profile.sent();
+        self.profile.sent(slot.desired.motion.value, &mut self.native);
         slot.gone.grid = Some(self.grid);
         self.other.sent();
         if !self.idle {

@@ -69,8 +69,7 @@ impl Station {
             && carried.is_none()
             && !slot.anew
             && !self.starts
-            && self.settled
-            && self.profile.is_steady();
+            && self.settled == Some(self.profile.revision());
         if !settled && !self.watch_start(&front, suspect, slot) {
             return;
         }
@@ -174,7 +173,13 @@ impl Station {
         report.moving = self.inputs.moving();
         report.in_target = status.in_target();
         report.fault = self.error.map_or(0, |error| u32::from(error.0));
-        self.settled = !booting && !status.error() && self.other.is_settled();
+        let settled = !suspect
+            && carried.is_none()
+            && !booting
+            && !status.error()
+            && self.other.is_settled()
+            && self.profile.is_settled();
+        self.settled = settled.then(|| self.profile.revision());
     }
 
     /// The monitored values, and the answer on the real-time-config channel.

@@ -1,0 +1,170 @@
+//! What is built and has not left: it has no effect.
+//!
+//! A telegram is built from the state that all telegrams before it have led to, and its leaving is what changes that
+//! state. One that is built again, for this send or a later one, begins from the same state; so what was replaced, or
+//! refused by the operating system, leaves nothing behind. Reports of the drive change the state at once: what was built
+//! before does not hold any more, and is built again before it leaves.
+
+/// The state that the telegrams which left have led to, and the one behind the telegram that is built.
+///
+/// A telegram has two revisions: that of what is desired, and that of this state. As long as both are the same, the
+/// telegram that was built last holds, but for what is patched in place: setpoint, stamp and count.
+#[derive(Clone, Debug)]
+pub struct Prepared<T> {
+    /// Advances with each change of the state.
+    revision: u64,
+    /// The revisions that the telegram was built for; `None`: none is built.
+    built_for: Option<(u64, u64)>,
+    /// Its leaving may change the state.
+    is_proposed: bool,
+    /// The state has changed since it was built.
+    is_void: bool,
+    left: T,
+    proposed: T,
+}
+
+impl<T: Clone + PartialEq> Prepared<T> {
+    /// Nothing has left.
+    pub fn new(state: T) -> Prepared<T> {
+        let proposed = state.clone();
+        Prepared { revision: 0, built_for: None, is_proposed: false, is_void: false, left: state, proposed }
+    }
+
+    /// The state that what has left has led to.
+    #[inline]
+    pub fn left(&self) -> &T {
+        &self.left
+    }
+
+    /// The same, to be changed by what the telegram that is built does not depend on.
+    #[inline]
+    pub fn left_mut(&mut self) -> &mut T {
+        &mut self.left
+    }
+
+    /// The state behind the telegram that is built: what it carries. Once that has left, the same as
+    /// [`left`](Self::left).
+    #[inline]
+    pub fn proposed(&self) -> &T {
+        if self.is_proposed { &self.proposed } else { &self.left }
+    }
+
+    /// The same, to be worked on further.
+    #[inline]
+    pub fn proposed_mut(&mut self) -> &mut T {
+        if self.is_proposed { &mut self.proposed } else { &mut self.left }
+    }
+
+    /// Something was proposed, and has not left.
+    #[inline]
+    pub fn is_proposed(&self) -> bool {
+        self.is_proposed
+    }
+
+    /// The revision of the state.
+    #[inline]
+    pub fn revision(&self) -> u64 {
+        self.revision
+    }
+
+    /// The telegram that was built last holds for this revision of what is desired.
+    #[inline]
+    pub fn holds(&self, desired: u64) -> bool {
+        self.built_for == Some((desired, self.revision))
+    }
+
+    /// A telegram was built, and the state has changed since: it is to be built again before it leaves.
+    #[inline]
+    pub fn is_void(&self) -> bool {
+        self.is_void
+    }
+
+    /// Builds a telegram for this revision of what is desired: the state to be changed is the one behind it.
+    pub fn propose(&mut self, desired: u64) -> &mut T {
+        self.built_for = Some((desired, self.revision));
+        (self.is_proposed, self.is_void) = (true, false);
+        self.proposed.clone_from(&self.left);
+        &mut self.proposed
+    }
+
+    /// Of a telegram that carries only a part of what was proposed: what its leaving changes in addition, or not.
+    pub fn amend(&mut self, change: impl FnOnce(&mut T)) {
+        if self.is_proposed {
+            change(&mut self.proposed);
+        }
+    }
+
+    /// The telegram carries nothing of what was proposed: its leaving changes nothing.
+    pub fn withdraw(&mut self) {
+        if std::mem::take(&mut self.is_proposed) && self.proposed != self.left {
+            self.built_for = None;
+        }
+    }
+
+    /// The telegram has left. Returns the state before it, if that has changed.
+    #[inline]
+    pub fn leave(&mut self) -> Option<T> {
+        if self.is_proposed { self.take_over() } else { None }
+    }
+
+    #[inline(never)]
+    fn take_over(&mut self) -> Option<T> {
+        self.is_proposed = false;
+        if self.proposed == self.left {
+            return None;
+        }
+        self.revision += 1;
+        Some(std::mem::replace(&mut self.left, self.proposed.clone()))
+    }
+
+    /// Changes the state by what is no telegram: a report of the drive, a new connection.
+    pub fn change<R>(&mut self, change: impl FnOnce(&mut T) -> R) -> R {
+        let before = self.left.clone();
+        let result = change(&mut self.left);
+        if self.left != before {
+            self.revision += 1;
+            (self.is_proposed, self.is_void) = (false, self.built_for.take().is_some());
+        }
+        result
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// What is left of a sequence of telegrams is that of those that left, whatever was built in between.
+    #[test]
+    fn only_what_left_counts() {
+        for seed in 0..1_000 {
+            let mut random = fastrand::Rng::with_seed(seed);
+            let (mut prepared, mut model) = (Prepared::new(0_u64), 0_u64);
+            for desired in 0..200 {
+                for _ in 0..random.u8(..4) {
+                    let of = desired + random.u64(1_000..2_000);
+                    *prepared.propose(of) += random.u64(..3);
+                    if random.u8(..4) == 0 {
+                        // A report between building and leaving.
+                        prepared.change(|state| *state ^= 8);
+                        model ^= 8;
+                        assert!(!prepared.holds(of));
+                    }
+                }
+                if random.bool() {
+                    let more = random.u64(..3);
+                    *prepared.propose(desired) += more;
+                    assert!(prepared.holds(desired) && *prepared.proposed() == model + more);
+                    let (before, revision) = (model, prepared.revision());
+                    model += more;
+                    assert_eq!(prepared.leave(), (model != before).then_some(before));
+                    assert_eq!(prepared.revision() != revision, model != before);
+                    assert_eq!(prepared.leave(), None, "it leaves once");
+                }
+                if random.u8(..4) == 0 {
+                    prepared.change(|_| ());
+                }
+                assert_eq!(*prepared.left(), model);
+            }
+        }
+    }
+}
