@@ -121,6 +121,9 @@ impl ModbusBus {
         if !slot.due || station.passed || station.has_ended() {
             return result;
         }
+        if station.is_void() {
+            station.prepare(cycle, slot);
+        }
         let bytes = station.to_send();
         if result.is_err() || bytes.is_empty() {
             station.unsent(slot);

@@ -150,8 +150,14 @@ impl NativePort {
         }
     }
 
-    pub(super) fn next(&mut self) -> Option<NativeOutput> {
-        self.outputs.pop()
+    /// The next output, which stays until it is [taken](Self::pop).
+    pub(super) fn peek(&mut self) -> Option<NativeOutput> {
+        self.outputs.peek().copied()
+    }
+
+    /// The next output has left.
+    pub(super) fn pop(&mut self) {
+        let _ = self.outputs.pop();
     }
 
     /// Drops the outputs of a native mode that has ended; not those that the application writes meanwhile, which

@@ -10,8 +10,9 @@ use super::plan::UnidriveDrive;
 use super::trips::Trip;
 use super::words::{ControlWord, StatusWord};
 use fieldbeat_core::axis::Lacks;
-use fieldbeat_core::axis::State;
+use fieldbeat_core::axis::State as State402;
 use fieldbeat_core::axis::command::NativeOwner;
+use fieldbeat_core::bus::Prepared;
 use fieldbeat_core::bus::desired::{
     Capabilities, Desired, Evidence, FaultIs, Follows, Generator, Motion, Power, Quantity, Refused,
     Resettable,
@@ -65,11 +66,59 @@ pub(super) struct Outputs {
     pub reference: i32,
 }
 
+/// What the requests that left have led to.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct State {
+    /// The intents of which something was written: power, motion.
+    serials: (u64, u64),
+    power: Power,
+    motion: Motion,
+    /// The request with them was refused: they have to go out again.
+    is_refused: bool,
+    /// The last commanded direction; it is kept at zero.
+    reverse: bool,
+    /// The direction of the reference that was sent last, unless that is zero.
+    turning: Option<bool>,
+    /// RUN goes off before ENABLE does.
+    releasing: bool,
+    /// RUN was off for a halt, and the power stage has not come back since.
+    halted: bool,
+    refused: Option<Refused>,
+    /// The control word that was written last has RUN.
+    ran: bool,
+    /// The native values, whether each went out, and how many of them were taken.
+    native: Option<Outputs>,
+    native_gone: (bool, bool),
+    native_taken: u32,
+}
+
+impl State {
+    /// The drive is commanded to be on.
+    fn is_on(&self) -> bool {
+        matches!(self.power, Power::EnableOperation | Power::QuickStop)
+    }
+
+    fn is_halted(&self) -> bool {
+        self.power == Power::QuickStop || self.motion == Motion::Halt
+    }
+
+    /// RUN is on.
+    fn runs(&self) -> bool {
+        self.power == Power::EnableOperation && !self.is_halted()
+    }
+
+    fn is_native(&self) -> bool {
+        matches!(self.motion, Motion::Native(_))
+    }
+}
+
 /// The profile of one drive.
 #[derive(Debug)]
 pub(super) struct Profile {
     /// Raw reference for one user unit/s; negative if the axis is inverted.
     raw_per_velocity: f64,
+    /// The bits of the control word while the drive is to be on.
+    on: u16,
     /// Something stops the drive if the master dies, or nothing needs to.
     watched: bool,
     /// A time-out can be set in it for that.
@@ -77,37 +126,17 @@ pub(super) struct Profile {
     /// The drive follows the control word; if not, it may be set so.
     obeys: bool,
     settable: bool,
-    /// The bits of the control word while the drive is to be on.
-    on: u16,
-    /// What the prepared request is built for, and what something was last sent of.
-    serials: (u64, u64),
-    power: Power,
-    motion: Motion,
-    /// What they come to: the drive is to be on, it is halted, it runs.
-    is_on: bool,
-    is_halted: bool,
-    runs: bool,
-    velocity: f64,
-    sent: (u64, u64),
-    /// The same when the newest status was read: a speed may come later.
-    at_status: (u64, u64),
+    state: Prepared<State>,
+    /// The values of the prepared request, and the velocity that was desired with them.
     outputs: Outputs,
-    /// The last commanded direction; it is kept at zero.
-    reverse: bool,
-    /// The reference and direction that were sent last.
-    turning: Option<bool>,
-    /// RUN goes off before ENABLE does.
-    releasing: bool,
-    /// RUN was off for a halt, and the power stage has not come back since.
-    halted: bool,
-    refused: Option<Refused>,
-    /// It has accepted all that is desired.
+    velocity: f64,
+    /// The intents of the last request that had left when the newest status was read: a speed may come later.
+    at_status: (u64, u64),
+    /// It has accepted all that has left.
     taken: bool,
-    /// The next report proves the same, if it reads back what was written with the same control word and status.
-    steady: bool,
-    /// The native values, and whether each went out.
-    native: Option<Outputs>,
-    native_gone: (bool, bool),
+    /// The next report proves the same, if it reads back what was written with the same control word and status, as
+    /// long as this is the revision of the state.
+    steady: Option<u64>,
 }
 
 /// What a drive can do.
@@ -129,32 +158,34 @@ pub(super) fn capabilities(_drive: &UnidriveDrive) -> Capabilities {
 
 impl Profile {
     pub(super) fn new(drive: &UnidriveDrive) -> Profile {
-        Profile {
-            raw_per_velocity: drive.map.reference.raw(drive.rpm(1.0)),
-            watched: false,
-            watchable: drive.watchdog.timeout_ns.is_some(),
-            obeys: false,
-            settable: false,
-            on: ControlWord::ENABLE | if drive.watchdog.keypad { ControlWord::KEYPAD_WATCHDOG } else { 0 },
+        let state = State {
             serials: (0, 0),
             power: Power::Untouched,
             motion: Motion::Hold,
-            is_on: false,
-            is_halted: false,
-            runs: false,
-            velocity: 0.0,
-            sent: (0, 0),
-            at_status: (0, 0),
-            outputs: Outputs::default(),
+            is_refused: false,
             reverse: false,
             turning: None,
             releasing: false,
             halted: false,
             refused: None,
-            taken: false,
-            steady: false,
+            ran: false,
             native: None,
             native_gone: (true, true),
+            native_taken: 0,
+        };
+        Profile {
+            raw_per_velocity: drive.map.reference.raw(drive.rpm(1.0)),
+            on: ControlWord::ENABLE | if drive.watchdog.keypad { ControlWord::KEYPAD_WATCHDOG } else { 0 },
+            watched: false,
+            watchable: drive.watchdog.timeout_ns.is_some(),
+            obeys: false,
+            settable: false,
+            state: Prepared::new(state),
+            outputs: Outputs::default(),
+            velocity: 0.0,
+            at_status: (0, 0),
+            taken: false,
+            steady: None,
         }
     }
 
@@ -166,186 +197,180 @@ impl Profile {
         inputs: &Inputs,
         native: &mut NativePort,
     ) -> Option<Outputs> {
-        let Desired { power, motion, setpoint, .. } = desired;
-        let changed = (power.serial, motion.serial) != self.serials;
-        if changed {
-            self.change(desired, native);
-        }
-        if self.power == Power::Untouched {
+        if desired.power.value == Power::Untouched {
             return None;
         }
-        // Of a drive that keeps its speed nothing is computed anew.
-        let keeps =
-            !changed && self.runs && self.velocity == setpoint.velocity && self.turning == Some(self.reverse);
-        if keeps && self.native.is_none() && !self.is_native() && !self.releasing {
+        self.velocity = desired.setpoint.velocity;
+        let raw = self.velocity * self.raw_per_velocity;
+        let state = self.state.left();
+        // Of a drive that goes on turning in its direction only the speed is new.
+        if self.state.holds(desired.revision())
+            && state.runs()
+            && raw != 0.0
+            && state.turning == Some(raw < 0.0)
+            && !state.is_native()
+        {
+            self.outputs.reference = rounded(raw.abs());
             return Some(self.outputs);
         }
-        self.velocity = setpoint.velocity;
-        // A drive at standstill holds its motor until RUN is off, and drops it with ENABLE.
-        let off = self.power == Power::Off;
-        self.releasing = off
-            && inputs.status.active()
-            && (self.releasing
-                || inputs.status.zero_speed() && self.outputs.control.has_any(ControlWord::ANY_RUN));
-        self.halted |= self.is_halted;
-        self.outputs = self.built();
-        if let Motion::Native(owner) = self.motion {
-            self.take_native(owner, native);
-        }
-        Some(self.values())
+        self.build(desired, raw, inputs, native);
+        Some(self.outputs)
     }
 
-    /// Something else is desired.
-    #[cold]
-    fn change(&mut self, desired: &Desired, native: &mut NativePort) {
+    /// Builds the values of a request that differs from the last one by more than its speed.
+    #[inline(never)]
+    fn build(&mut self, desired: &Desired, raw: f64, inputs: &Inputs, native: &mut NativePort) {
         let Desired { power, motion, .. } = desired;
-        if motion.serial != self.serials.1 {
-            (self.native, self.native_gone) = (None, (true, true));
-            native.flush();
+        let state = self.state.propose(desired.revision());
+        let begins = motion.serial != state.serials.1;
+        if begins {
+            (state.native, state.native_gone) = (None, (true, true));
         }
-        self.serials = (power.serial, motion.serial);
-        (self.power, self.motion) = (power.value, motion.value);
-        self.is_on = matches!(self.power, Power::EnableOperation | Power::QuickStop);
-        self.is_halted = self.power == Power::QuickStop || self.motion == Motion::Halt;
-        self.runs = self.power == Power::EnableOperation && !self.is_halted;
-        (self.refused, self.taken, self.steady) = (None, false, false);
+        if (power.serial, motion.serial) != state.serials {
+            state.refused = None;
+        }
+        state.serials = (power.serial, motion.serial);
+        (state.power, state.motion, state.is_refused) = (power.value, motion.value, false);
+        // A drive at standstill holds its motor until RUN is off, and drops it with ENABLE.
+        state.releasing = state.power == Power::Off
+            && inputs.status.active()
+            && (state.releasing || inputs.status.zero_speed() && state.ran);
+        state.halted |= state.is_halted();
+        self.outputs = state.built(raw, self.on);
+        // What the application has written before the mode begins is dropped.
+        if let Motion::Native(owner) = state.motion {
+            if !begins {
+                state.take_native(owner, self.outputs.control, native);
+            }
+            self.outputs = state.native.unwrap_or(self.outputs);
+        }
     }
 
-    fn values(&self) -> Outputs {
-        self.native.unwrap_or(self.outputs)
+    /// A reply has changed what the next request was built from.
+    #[inline]
+    pub(super) fn is_void(&self) -> bool {
+        self.state.is_void()
     }
 
-    fn built(&mut self) -> Outputs {
-        let runs = self.runs();
-        let raw = if runs { self.velocity * self.raw_per_velocity } else { 0.0 };
-        let mut reference = raw.abs();
-        let reverse = if raw == 0.0 { self.reverse } else { raw < 0.0 };
-        if self.turning == Some(!reverse) {
-            // Direction and speed may go out one after the other: it changes at zero.
-            reference = 0.0;
-        } else {
-            self.reverse = reverse;
+    /// The request that is built writes the control word, the reference: their leaving is an effect.
+    pub(super) fn carries(&mut self, control: bool, reference: bool) {
+        let outputs = self.outputs;
+        self.state.amend(|state| {
+            if control {
+                (state.native_gone.0, state.releasing) = (true, false);
+                state.ran = outputs.control.has_any(ControlWord::ANY_RUN);
+            }
+            if reference {
+                state.native_gone.1 = true;
+                state.turning = (outputs.reference != 0).then_some(state.reverse);
+            }
+        });
+    }
+
+    /// It has nothing of what is desired.
+    pub(super) fn carries_nothing(&mut self) {
+        self.state.withdraw();
+    }
+
+    /// The request that was built has gone out.
+    #[inline]
+    pub(super) fn sent(&mut self, native: &mut NativePort) {
+        if let Some(before) = self.state.leave() {
+            self.note_sent(&before, native);
         }
-        let run = if self.reverse { ControlWord::RUN_REVERSE } else { ControlWord::RUN_FORWARD };
-        let control = ControlWord::IDLE
-            .with(if self.is_on() || self.releasing { self.on } else { 0 })
-            .with(if runs { run } else { 0 })
-            .with(if self.power == Power::FaultReset { ControlWord::RESET } else { 0 });
-        // Rounded by hand: without SSE4.1 `round` is a call. A plan whose velocities do not fit is refused; the rest
-        // saturates.
-        Outputs { control, reference: (reference + 0.5) as i32 }
     }
 
     #[inline(never)]
-    fn take_native(&mut self, owner: NativeOwner, native: &mut NativePort) {
-        // Each one is sent, even if a request fails.
-        if self.native_gone != (true, true) {
-            return;
+    fn note_sent(&mut self, before: &State, native: &mut NativePort) {
+        let state = self.state.left();
+        if state.native_taken != before.native_taken {
+            native.pop();
         }
-        if let Some(NativeOutput { control, reference }) = native.next() {
-            let control = match owner {
-                NativeOwner::Application => control,
-                // The master keeps the drive running, in its own direction.
-                NativeOwner::Master => self.outputs.control,
-            };
-            self.native = Some(Outputs { control, reference });
-            self.native_gone = (false, false);
+        if state.serials.1 != before.serials.1 {
+            native.flush();
         }
     }
 
     /// Native mode runs.
     pub(super) fn is_native(&self) -> bool {
-        matches!(self.motion, Motion::Native(_))
+        self.state.left().is_native()
     }
 
     /// Whether something stops the drive if the master dies, whether it follows the control word, and whether it
     /// can be configured to.
     pub(super) fn found(&mut self, watched: bool, obeys: bool, settable: bool) {
-        (self.watched, self.obeys, self.settable, self.steady) = (watched, obeys, settable, false);
+        (self.watched, self.obeys, self.settable, self.steady) = (watched, obeys, settable, None);
     }
 
     /// The drive has to be configured to follow the control word, or to be watched: once it has accepted the
     /// present values.
     pub(super) fn wants_set_up(&self, inputs: &Inputs) -> bool {
-        let power = self.power;
+        let power = self.state.proposed().power;
         let enabling = power == Power::Shutdown && !(self.obeys && self.watched);
         let obeying = power != Power::Untouched && !self.obeys && inputs.status.active();
         self.settable && (enabling || obeying) && self.has_taken(inputs)
     }
 
-    /// Something is desired of it.
+    /// Something was written to it.
     pub(super) fn writes(&self) -> bool {
-        self.serials.0 > 0
+        self.state.left().serials.0 > 0
     }
 
     /// Written values are waited for, to be read back.
     pub(super) fn waits(&self) -> bool {
-        self.velocity == 0.0 && !self.is_native() && !self.taken
+        self.velocity == 0.0 && !self.state.proposed().is_native() && (self.is_new() || !self.taken)
     }
 
     /// The next request has to carry this: nothing of it was sent yet.
     pub(super) fn is_new(&self) -> bool {
-        self.writes() && self.sent != self.serials
-    }
-
-    /// Something was written.
-    pub(super) fn sent(&mut self) {
-        self.sent = self.serials;
-    }
-
-    /// The control word went out.
-    pub(super) fn control_sent(&mut self) {
-        self.native_gone.0 = true;
-        self.releasing = false;
-    }
-
-    /// The reference went out.
-    pub(super) fn reference_sent(&mut self) {
-        self.native_gone.1 = true;
-        self.turning = (self.outputs.reference != 0).then_some(self.reverse);
+        let (proposed, left) = (self.state.proposed(), self.state.left());
+        proposed.serials != left.serials || left.is_refused
     }
 
     /// The drive refused the request as a whole: what it wrote has to go out again.
     pub(super) fn refused(&mut self, control: bool, reference: bool) {
-        (self.sent, self.steady) = ((0, 0), false);
-        if self.native.is_some() {
-            self.native_gone.0 &= !control;
-            self.native_gone.1 &= !reference;
-        }
+        self.state.change(|state| {
+            state.is_refused = true;
+            if state.native.is_some() {
+                state.native_gone.0 &= !control;
+                state.native_gone.1 &= !reference;
+            }
+        });
     }
 
-    /// The drive is commanded to be on.
+    /// The drive is commanded to be on, or is to be.
     pub(super) fn is_on(&self) -> bool {
-        self.is_on
+        self.state.proposed().is_on()
     }
 
     /// The next report proves the same, if it reads back what was written with the same control word and status.
     #[inline]
     pub(super) fn is_steady(&self) -> bool {
-        self.steady
+        self.steady == Some(self.state.revision())
     }
 
-    /// RUN is on.
+    /// RUN was written.
     pub(super) fn runs(&self) -> bool {
-        self.runs
+        self.state.left().runs()
     }
 
     /// Maps the drive's state onto those of CiA 402.
     #[inline]
-    pub(super) fn state(&mut self, status: StatusWord, sto_open: bool) -> State {
-        if status.active() && self.runs() {
-            self.halted = false;
+    pub(super) fn state(&mut self, status: StatusWord, sto_open: bool) -> State402 {
+        if status.active() && self.runs() && self.state.left().halted {
+            self.state.change(|state| state.halted = false);
         }
+        let state = self.state.left();
         match (status.healthy(), status.active()) {
-            (false, _) => State::Fault,
+            (false, _) => State402::Fault,
             // It follows no setpoint.
-            (true, true) if self.is_on() && self.is_halted => State::QuickStopActive,
-            (true, true) => State::OperationEnabled,
-            (true, false) if sto_open => State::SwitchOnDisabled,
+            (true, true) if state.is_on() && state.is_halted() => State402::QuickStopActive,
+            (true, true) => State402::OperationEnabled,
+            (true, false) if sto_open => State402::SwitchOnDisabled,
             // Its power stage comes and goes with RUN.
-            (true, false) if self.is_on() && self.halted => State::QuickStopActive,
-            (true, false) if self.is_on() => State::SwitchedOn,
-            (true, false) => State::ReadyToSwitchOn,
+            (true, false) if state.is_on() && state.halted => State402::QuickStopActive,
+            (true, false) if state.is_on() => State402::SwitchedOn,
+            (true, false) => State402::ReadyToSwitchOn,
         }
     }
 
@@ -358,40 +383,47 @@ impl Profile {
 
     /// The drive has lost its commands: no earlier value is written again.
     pub(super) fn drive_restarted(&mut self) {
-        (self.native, self.native_gone, self.turning) = (None, (true, true), None);
-        (self.halted, self.releasing, self.steady) = (false, false, false);
+        self.state.change(|state| {
+            (state.native, state.native_gone, state.turning) = (None, (true, true), None);
+            (state.halted, state.releasing) = (false, false);
+        });
+        self.steady = None;
     }
 
     /// A status was read in an exchange that was sent after what was sent last.
     pub(super) fn status_read(&mut self) {
-        self.at_status = self.sent;
+        self.at_status = self.state.left().serials;
     }
 
     /// The drive did not accept a written value, as its read-back shows.
     pub(super) fn not_taken(&mut self) {
-        (self.refused, self.steady) = (Some(Refused::NotTaken), false);
+        self.state.change(|state| state.refused = Some(Refused::NotTaken));
+        self.steady = None;
     }
 
     /// The drive has accepted the written values.
     fn has_taken(&self, inputs: &Inputs) -> bool {
-        let values = self.values();
-        inputs.control == Some(values.control) && inputs.reference == Some(values.reference)
+        inputs.control == Some(self.outputs.control) && inputs.reference == Some(self.outputs.reference)
     }
 
     /// What a report proves.
     pub(super) fn prove(&mut self, inputs: &Inputs, evidence: &mut Evidence) {
-        let (power, motion) = self.sent;
-        self.taken = !self.is_new() && self.at_status == self.sent && self.has_taken(inputs);
-        let taken = self.taken;
-        self.steady = taken && !self.is_native();
-        let since = |serial: u64| if taken { serial } else { serial.saturating_sub(1) };
+        let State { serials: (power, motion), is_refused, refused, .. } = *self.state.left();
+        let taken = !self.is_new() && self.at_status == (power, motion) && self.has_taken(inputs);
+        self.taken = taken;
+        self.steady = (taken && !self.is_native()).then(|| self.state.revision());
+        let since = |serial: u64| match (taken, is_refused) {
+            (true, _) => serial,
+            (false, true) => 0,
+            (false, false) => serial.saturating_sub(1),
+        };
         (evidence.accepted.power, evidence.accepted.motion) = (since(power), since(motion));
         evidence.is_set_up = self.obeys && self.watched;
         (evidence.follows, evidence.obstacle) = (Follows::Yes, None);
         if !evidence.is_set_up {
             self.prove_set_up(evidence);
         }
-        evidence.refused = self.refused;
+        evidence.refused = refused;
         let reset_at = |at| Resettable::At(at + Trip(inputs.trip).reset_after_ns());
         evidence.fault = FaultIs {
             active: inputs.seen && !inputs.status.healthy(),
@@ -413,4 +445,47 @@ impl Profile {
             () => Some(NOT_WATCHED),
         };
     }
+}
+
+impl State {
+    /// The values for a speed, with the bits `on` of a drive that is to be on.
+    fn built(&mut self, raw: f64, on: u16) -> Outputs {
+        let runs = self.runs();
+        let raw = if runs { raw } else { 0.0 };
+        let mut reference = raw.abs();
+        let reverse = if raw == 0.0 { self.reverse } else { raw < 0.0 };
+        if self.turning == Some(!reverse) {
+            // Direction and speed may go out one after the other: it changes at zero.
+            reference = 0.0;
+        } else {
+            self.reverse = reverse;
+        }
+        let run = if self.reverse { ControlWord::RUN_REVERSE } else { ControlWord::RUN_FORWARD };
+        let control = ControlWord::IDLE
+            .with(if self.is_on() || self.releasing { on } else { 0 })
+            .with(if runs { run } else { 0 })
+            .with(if self.power == Power::FaultReset { ControlWord::RESET } else { 0 });
+        Outputs { control, reference: rounded(reference) }
+    }
+
+    /// Takes the next native output once the last one has gone out: each one is sent, even if a request fails.
+    fn take_native(&mut self, owner: NativeOwner, own: ControlWord, native: &mut NativePort) {
+        if self.native_gone != (true, true) {
+            return;
+        }
+        if let Some(NativeOutput { control, reference }) = native.peek() {
+            let control = match owner {
+                NativeOwner::Application => control,
+                // The master keeps the drive running, in its own direction.
+                NativeOwner::Master => own,
+            };
+            self.native = Some(Outputs { control, reference });
+            (self.native_gone, self.native_taken) = ((false, false), self.native_taken.wrapping_add(1));
+        }
+    }
+}
+
+/// By hand: without SSE4.1 `round` is a call. A plan whose velocities do not fit is refused; the rest saturates.
+fn rounded(reference: f64) -> i32 {
+    (reference + 0.5) as i32
 }

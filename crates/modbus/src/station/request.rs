@@ -86,9 +86,15 @@ impl Station {
             template.refill(&mut self.rooms[0], self.identity.next(), self.conn.outputs);
             (self.conn.room, self.conn.length) = (0, template.length);
             self.conn.prepared = What::Cyclic(template.blocks);
-            return;
+        } else {
+            self.conn.length = self.prepare_next(outputs, calls);
         }
-        self.conn.length = self.prepare_next(outputs, calls);
+        match self.conn.prepared {
+            What::Cyclic(Blocks { write: Some(_), control, reference, .. }) => {
+                self.profile.carries(control, reference);
+            }
+            _ => self.profile.carries_nothing(),
+        }
     }
 
     /// A missed request by FC23 may be one that the drive ignores. The next one goes out behind it.
@@ -296,6 +302,12 @@ impl Station {
         self.rooms[self.conn.room].get(HEADER..self.conn.open).unwrap_or_default()
     }
 
+    /// What came since the last request was built has changed what it was built from.
+    #[inline]
+    pub fn is_void(&self) -> bool {
+        self.profile.is_void()
+    }
+
     /// The bytes for the wire for a slot that is due; empty: nothing can be sent.
     pub fn to_send(&self) -> &[u8] {
         match self.connected && !self.identity.is_open() {
@@ -364,15 +376,13 @@ impl Station {
         if blocks.control {
             self.conn.control.sent(self.conn.written.control.0.into());
             self.control_sent = Some(self.conn.written.control);
-            self.profile.control_sent();
         }
         if blocks.reference {
             self.conn.reference.sent(self.conn.written.reference);
-            self.profile.reference_sent();
         }
         if blocks.write.is_some() {
             slot.gone.grid = Some(self.grid);
-            self.profile.sent();
+            self.profile.sent(&mut self.native);
         }
     }
 
