@@ -285,7 +285,7 @@ impl Station {
         self.grid = cycle.grid;
         slot.commanded = self.end.guard(slot.guarded);
         let owned = matches!(self.connection.as_ref()?.outputs, Sends::Owned);
-        if owned && !self.profile.repeats(&slot.desired) {
+        if owned && !self.profile.holds(&slot.desired) {
             let Station { profile, native, seen, packet, .. } = self;
             packet.set_outputs(profile.encode(cycle.grid, &slot.desired, seen, native));
             self.is_copied = false;
@@ -316,14 +316,11 @@ impl Station {
         slot.counters.sent += 1;
         slot.exchange = Exchange::OwnClock { sent_at, fresh_until: self.fresh_until };
         slot.gone.grid = Some(self.grid);
-        if !self.profile.is_steady() {
-            self.profile.sent(&mut self.native);
-        }
+        self.profile.sent(&mut self.native);
     }
 
     /// There is no connection, or the operating system refused to send.
     pub(super) fn unsent(&mut self, slot: &mut Slot) {
-        self.profile.unsent();
         slot.counters.unsent += 1;
         slot.exchange = Exchange::Unsent;
     }
@@ -404,7 +401,7 @@ impl Station {
             Seen { any: true, status: inputs.status, alarm: inputs.alarm, demand, sto_open },
         );
         let same = (before.status, before.alarm, before.sto_open) == (inputs.status, inputs.alarm, sto_open);
-        if !same || slot.anew || !self.profile.is_steady() {
+        if !same || slot.anew || !self.profile.is_settled() {
             self.prove(slot);
             if self.profile.take_rehomed() {
                 // The position was set: that was no motion, and the encoder is where the steps are.
@@ -457,7 +454,7 @@ impl Station {
     /// What the states of a packet report and prove.
     #[inline(never)]
     fn prove(&mut self, slot: &mut Slot) {
-        let Slot { status: report, notices, evidence, desired, .. } = slot;
+        let Slot { status: report, notices, evidence, .. } = slot;
         let Seen { status: word, alarm, .. } = self.seen;
         let starts = word & status::INITIALIZING != 0;
         if starts && report.state != State::NotReadyToSwitchOn && report.state != State::Unknown {
@@ -467,7 +464,8 @@ impl Station {
         let owned = self.connection.as_ref().is_some_and(|open| open.outputs == Sends::Owned);
         self.profile.take(&self.seen, evidence);
         evidence.outputs_count = owned;
-        report.state = drive_state(&self.seen, desired.power.value, desired.motion.value);
+        let (power, motion) = self.profile.commanded();
+        report.state = drive_state(&self.seen, power, motion);
         report.homed = self.profile.is_homed();
         report.moving = self.seen.moves();
         // A drive without an encoder is where it stands.

@@ -24,23 +24,20 @@ mod words;
 
 pub(super) use self::capabilities::capabilities;
 use self::words::{is_begun, is_motion};
-use super::edges::{Change, Edges};
+use super::edges::{Change, Edges, MOST_REPEATS};
 use super::exchange::Facts;
-use super::native::NativePort;
+use super::native::{NativeOutput, NativePort};
 use super::plan::{Homing, MoonsDrive};
 use super::wire::assembly::{Outputs, command, status};
 use fieldbeat_core::axis::Units;
 use fieldbeat_core::axis::command::NativeOwner;
+use fieldbeat_core::bus::Prepared;
 use fieldbeat_core::bus::desired::{Desired, Homing as HomingIs, Intent, Motion, Power, Refused};
 use fieldbeat_core::time::Time;
 
 const NO_POWER: &str = "its power is the master's in this native mode: give it a motion or a host command, \
      or own the control word";
 const BUSY_NOW: &str = "the drive is busy: it starts, saves its parameters or runs a Q program";
-
-/// An absolute move and a jog are sent again so often, since that is safe: with two idle packets before the first one,
-/// one behind thirty of them. At a loss of 30 % one in 10^15 goes wrong.
-const REPEATS: u8 = 3;
 
 /// Its setpoint generator runs.
 const MOVES: u16 = status::MOVING | status::JOGGING | status::STOPPING | status::HOMING;
@@ -111,24 +108,17 @@ enum Holder {
     Native,
 }
 
-/// The profile of one drive.
-#[derive(Debug)]
-pub(super) struct Profile {
+/// What the packets that left, and those of the drive, have led to.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct State {
     edges: Edges,
-    /// The outputs of the next packet.
+    /// The outputs of the last packet.
     outputs: Outputs,
     power: Intent<Power>,
     motion: Intent<Motion>,
     power_step: Step,
     motion_step: Step,
     holder: Holder,
-    /// What the prepared packet would begin to hold.
-    next_holder: Holder,
-    /// The prepared packet has the application's next output. What comes between its building and its sending has not
-    /// left with it.
-    has_native: bool,
-    /// The serials of the last packet that has left.
-    sent: (u64, u64),
     /// The effect of the newest motion was seen.
     is_taken: bool,
     /// The command word of the newest motion, once it was sent, and how often it was, or is to be, sent again.
@@ -148,30 +138,19 @@ pub(super) struct Profile {
     /// The position has become zero in this homing; that is new, and was no motion.
     zeroed: bool,
     rehomed: bool,
-    /// Another packet of the drive that says the same proves the same, and the next of ours is like the last one.
-    steady: bool,
-    facts: Facts,
-    /// As it was before the prepared packet was built, until that has gone out: what did not leave has no effect.
-    before: Option<Before>,
-    /// The status at the last proof.
-    proved: Seen,
-    rules: Rules,
+    /// So many outputs of the application have left.
+    native_taken: u32,
 }
 
-/// What building a packet changes.
-#[derive(Clone, Copy, Debug)]
-struct Before {
-    outputs: Outputs,
-    power: Intent<Power>,
-    power_step: Step,
-    motion: Intent<Motion>,
-    motion_step: Step,
-    is_taken: bool,
-    repeats: u8,
-    refused: Option<Refused>,
-    homing: HomingIs,
-    zeroed: bool,
-    may_come_on: bool,
+/// The profile of one drive.
+#[derive(Debug)]
+pub(super) struct Profile {
+    state: Prepared<State>,
+    /// Another packet of the drive that says the same proves the same, and the next of ours is like the last one, as
+    /// long as this is the revision of the state.
+    settled: Option<u64>,
+    facts: Facts,
+    rules: Rules,
 }
 
 /// What does not change.
@@ -187,7 +166,7 @@ struct Rules {
 
 impl Profile {
     pub(super) fn new(drive: &MoonsDrive) -> Profile {
-        Profile {
+        let state = State {
             edges: Edges::new(drive.hold, drive.effect_within_ns),
             outputs: Outputs::default(),
             power: Intent::default(),
@@ -195,9 +174,6 @@ impl Profile {
             power_step: Step::Settled,
             motion_step: Step::Settled,
             holder: Holder::Nobody,
-            next_holder: Holder::Nobody,
-            has_native: false,
-            sent: (0, 0),
             is_taken: false,
             word: command::IDLE,
             repeats: 0,
@@ -210,10 +186,12 @@ impl Profile {
             alarms_before: 0,
             zeroed: false,
             rehomed: false,
-            steady: false,
+            native_taken: 0,
+        };
+        Profile {
+            state: Prepared::new(state),
+            settled: None,
             facts: Facts::default(),
-            before: None,
-            proved: Seen::default(),
             rules: Rules {
                 units: drive.axis.units,
                 velocity: drive.velocity_on_wire(1.0),
@@ -226,13 +204,113 @@ impl Profile {
 
     /// A new connection: the drive has seen none of the commands before, and what moved it meanwhile is not known.
     pub(super) fn connected(&mut self) {
-        self.unsent();
+        let homed = self.rules.registers_home && self.facts.homed == Some(true);
+        self.settled = None;
+        self.state.change(|state| state.connected(homed));
+    }
+
+    /// The connection has ended: whether the drive still has its reference is open.
+    pub(super) fn disconnected(&mut self) {
+        self.settled = None;
+        self.state.change(|state| state.homed = false);
+    }
+
+    /// The drive has started anew.
+    pub(super) fn drive_restarted(&mut self) {
+        self.settled = None;
+        self.state.change(|state| (state.homed, state.jog, state.ramp) = (false, None, None));
+    }
+
+    /// What was read of the drive outside its packets.
+    pub(super) fn read(&mut self, facts: Facts) {
+        (self.facts, self.settled) = (facts, None);
+        if let (true, Some(homed)) = (self.rules.registers_home, facts.homed) {
+            self.state.change(|state| state.homed = homed);
+        }
+    }
+
+    /// It has its reference, as far as this master knows.
+    pub(super) fn is_homed(&self) -> bool {
+        self.state.left().homed
+    }
+
+    /// The power and the motion of the last packet.
+    pub(super) fn commanded(&self) -> (Power, Motion) {
+        let State { power, motion, .. } = self.state.left();
+        (power.value, motion.value)
+    }
+
+    /// The position was set to zero since the last call: it jumps, and that is no motion.
+    pub(super) fn take_rehomed(&mut self) -> bool {
+        let rehomed = self.state.left().rehomed;
+        if rehomed {
+            self.state.change(|state| state.rehomed = false);
+        }
+        rehomed
+    }
+
+    /// The next packet of the drive proves what the last one proved if it says the same.
+    #[inline]
+    pub(super) fn is_settled(&self) -> bool {
+        self.settled == Some(self.state.revision())
+    }
+
+    /// The next packet is like the last one, with what is desired now.
+    #[inline]
+    pub(super) fn holds(&self, desired: &Desired) -> bool {
+        self.is_settled() && self.state.holds(desired.revision())
+    }
+
+    /// The outputs of the packet to be sent at `now`.
+    pub(super) fn encode(
+        &mut self,
+        now: Time,
+        desired: &Desired,
+        seen: &Seen,
+        native: &mut NativePort,
+    ) -> &Outputs {
+        let state = self.state.propose(desired.revision());
+        if desired.power.serial != state.power.serial {
+            state.begin_power(desired.power, seen);
+        }
+        let begins = desired.motion.serial != state.motion.serial;
+        if begins {
+            state.begin_motion(desired.motion, seen, &self.rules);
+        }
+        // What the application has written before the mode begins is dropped.
+        state.go_on(now, seen, if begins { None } else { native.peek() }, &self.rules);
+        &self.state.proposed().outputs
+    }
+
+    /// The packet has gone out.
+    #[inline]
+    pub(super) fn sent(&mut self, native: &mut NativePort) {
+        if let Some(before) = self.state.leave() {
+            self.note_sent(&before, native);
+        }
+    }
+
+    #[inline(never)]
+    fn note_sent(&mut self, before: &State, native: &mut NativePort) {
+        let state = self.state.left();
+        if state.native_taken != before.native_taken {
+            native.pop();
+        }
+        if state.motion.serial != before.motion.serial {
+            let is_native = |motion: Motion| matches!(motion, Motion::Native(_));
+            native.runs(is_native(state.motion.value));
+            if is_native(before.motion.value) || is_native(state.motion.value) {
+                native.flush();
+            }
+        }
+    }
+}
+
+impl State {
+    fn connected(&mut self, homed: bool) {
         self.edges.reset();
-        self.outputs = Outputs::default();
-        (self.holder, self.next_holder) = (Holder::Nobody, Holder::Nobody);
-        (self.jog, self.ramp, self.homing, self.steady) = (None, None, HomingIs::Open, false);
-        self.proved = Seen::default();
-        self.homed = self.rules.registers_home && self.facts.homed == Some(true);
+        (self.outputs, self.holder, self.homed) = (Outputs::default(), Holder::Nobody, homed);
+        (self.jog, self.ramp, self.homing) = (None, None, HomingIs::Open);
         // Nothing is switched on again, and no motion is made twice.
         let ends = matches!(self.power.value, Power::Off | Power::Shutdown | Power::QuickStop);
         self.power_step = if ends && self.power.serial > 0 { Step::Due } else { Step::Settled };
@@ -248,127 +326,40 @@ impl Profile {
         };
     }
 
-    /// The connection has ended: whether the drive still has its reference is open.
-    pub(super) fn disconnected(&mut self) {
-        (self.homed, self.steady) = (false, false);
-    }
-
-    /// The drive has started anew.
-    pub(super) fn drive_restarted(&mut self) {
-        (self.homed, self.jog, self.ramp, self.steady) = (false, None, None, false);
-    }
-
-    /// What was read of the drive outside its packets.
-    pub(super) fn read(&mut self, facts: Facts) {
-        self.facts = facts;
-        if self.rules.registers_home
-            && let Some(homed) = facts.homed
-        {
-            self.homed = homed;
-        }
-        self.steady = false;
-    }
-
-    /// It has its reference, as far as this master knows.
-    pub(super) fn is_homed(&self) -> bool {
-        self.homed
-    }
-
-    /// The position was set to zero since the last call: it jumps, and that is no motion.
-    pub(super) fn take_rehomed(&mut self) -> bool {
-        std::mem::take(&mut self.rehomed)
-    }
-
-    /// The next packet is like the last one, and the next packet of the drive proves what the last one proved if it
-    /// says the same.
-    #[inline]
-    pub(super) fn is_steady(&self) -> bool {
-        self.steady
-    }
-
-    /// The same, with what is desired now.
-    #[inline]
-    pub(super) fn repeats(&self, desired: &Desired) -> bool {
-        self.steady && (desired.power.serial, desired.motion.serial) == self.sent
-    }
-
-    fn as_it_is(&self) -> Before {
-        let &Profile { outputs, power, power_step, motion, motion_step, .. } = self;
-        let &Profile { is_taken, repeats, refused, homing, zeroed, may_come_on, .. } = self;
-        Before {
-            outputs,
-            power,
-            power_step,
-            motion,
-            motion_step,
-            is_taken,
-            repeats,
-            refused,
-            homing,
-            zeroed,
-            may_come_on,
-        }
-    }
-
-    /// The prepared packet does not go out.
-    pub(super) fn unsent(&mut self) {
-        let Some(before) = self.before.take() else { return };
-        let Before { outputs, power, power_step, motion, motion_step, .. } = before;
-        let Before { is_taken, repeats, refused, homing, zeroed, may_come_on, .. } = before;
-        (self.outputs, self.power, self.power_step) = (outputs, power, power_step);
-        (self.motion, self.motion_step, self.is_taken) = (motion, motion_step, is_taken);
-        (self.repeats, self.refused, self.homing, self.zeroed) = (repeats, refused, homing, zeroed);
-        (self.may_come_on, self.next_holder) = (may_come_on, Holder::Nobody);
-    }
-
-    /// The outputs of the packet to be sent at `now`.
-    pub(super) fn encode(
-        &mut self,
-        now: Time,
-        desired: &Desired,
-        seen: &Seen,
-        native: &mut NativePort,
-    ) -> &Outputs {
-        self.steady = false;
-        // Built again, or for a later slot.
-        self.unsent();
-        self.before = Some(self.as_it_is());
-        self.has_native = false;
-        if desired.power.serial != self.power.serial {
-            self.begin_power(desired.power, seen);
-        }
-        if desired.motion.serial != self.motion.serial {
-            self.begin_motion(desired.motion, seen, native);
-        }
+    /// The next packet: with the application's `next` output, in its turn.
+    fn go_on(&mut self, now: Time, seen: &Seen, next: Option<NativeOutput>, rules: &Rules) {
         if let Motion::Native(NativeOwner::Application) = self.motion.value
             && !self.edges.is_held()
         {
             // Its outputs as they are: each of them in one packet at least.
-            self.next_holder = Holder::Nobody;
-            self.edges.prepare(now, None);
-            let next = native.peek();
-            self.has_native = next.is_some();
+            self.edges.step(now, None);
             if let Some(output) = next {
-                self.outputs = output.outputs;
+                (self.outputs, self.native_taken) = (output.outputs, self.native_taken.wrapping_add(1));
             }
             self.may_come_on = true;
-            return &self.outputs;
+            if self.outputs.command != command::IDLE {
+                // The next command is an edge behind idle only.
+                self.edges.reset();
+            }
+            return;
         }
         if self.motion.value == Motion::Native(NativeOwner::Master)
-            && native.peek().is_some_and(|output| !is_motion(&output))
+            && next.is_some_and(|output| !is_motion(&output))
         {
             self.refused = Some(Refused::Because(NO_POWER));
         }
-        let (holder, wanted) = if seen.any { self.wanted(seen, native) } else { (Holder::Nobody, None) };
-        let word = self.edges.prepare(now, wanted);
+        let (holder, wanted) = if seen.any { self.wanted(seen, next, rules) } else { (Holder::Nobody, None) };
+        let (word, change) = self.edges.step(now, wanted);
         // The parameters come with the first packet of a command, and stay.
-        let begins = self.edges.begins();
-        self.next_holder = if begins { holder } else { Holder::Nobody };
-        if begins {
-            self.outputs = self.parameters(holder, seen, native);
+        if change == Change::Begun {
+            self.outputs = self.parameters(holder, seen, next, rules);
         }
         self.outputs.command = word;
-        &self.outputs
+        match change {
+            Change::Begun => self.begun(holder, seen),
+            Change::Ended => self.ended(seen, rules),
+            Change::None => {}
+        }
     }
 
     /// Another power is desired.
@@ -385,17 +376,13 @@ impl Profile {
     }
 
     /// Another motion is desired.
-    fn begin_motion(&mut self, motion: Intent<Motion>, seen: &Seen, native: &mut NativePort) {
+    fn begin_motion(&mut self, motion: Intent<Motion>, seen: &Seen, rules: &Rules) {
         let was_native = matches!(self.motion.value, Motion::Native(_));
         // What another master has begun goes on until it is stopped.
         let runs = (seen.moves() || self.holder == Holder::Motion) && is_begun(self.motion.value);
         self.motion = motion;
         (self.refused, self.is_taken, self.homing, self.zeroed) = (None, false, HomingIs::Open, false);
         self.repeats = 0;
-        native.runs(matches!(motion.value, Motion::Native(_)));
-        if was_native || matches!(motion.value, Motion::Native(_)) {
-            native.flush();
-        }
         if was_native {
             // What the application left there is no command of the master's, and no idle either.
             self.outputs = Outputs::default();
@@ -409,7 +396,7 @@ impl Profile {
             Motion::Hold | Motion::Follow | Motion::EndStream | Motion::Native(_) => Step::Settled,
             Motion::Ramp { .. } | Motion::Halt => Step::Due,
             Motion::Velocity { acceleration, .. }
-                if jogs && self.jog == Some(self.rules.acceleration(acceleration)) =>
+                if jogs && self.jog == Some(rules.acceleration(acceleration)) =>
             {
                 Step::Due
             }
@@ -419,32 +406,9 @@ impl Profile {
         self.is_taken = self.motion_step == Step::Settled;
     }
 
-    /// The packet has gone out.
-    pub(super) fn sent(&mut self, native: &mut NativePort) {
-        self.before = None;
-        self.sent = (self.power.serial, self.motion.serial);
-        let change = self.edges.sent();
-        if let Motion::Native(NativeOwner::Application) = self.motion.value
-            && !self.edges.is_held()
-        {
-            if std::mem::take(&mut self.has_native) {
-                native.pop();
-            }
-            if self.outputs.command != command::IDLE {
-                // The next command is an edge behind idle only.
-                self.edges.reset();
-            }
-        }
-        match change {
-            Change::Begun => self.begun(native),
-            Change::Ended => self.ended(),
-            Change::None => {}
-        }
-    }
-
     /// A command is held from now on.
-    fn begun(&mut self, native: &mut NativePort) {
-        self.holder = self.next_holder;
+    fn begun(&mut self, holder: Holder, seen: &Seen) {
+        self.holder = holder;
         match self.holder {
             Holder::Power => {
                 self.power_step = Step::Held;
@@ -464,33 +428,36 @@ impl Profile {
                     Step::Zeroing { .. } => Step::Zeroing { held: true },
                     _ => Step::Held,
                 };
-                self.alarms_before = self.proved.alarm;
+                self.alarms_before = seen.alarm;
             }
-            Holder::Native => native.pop(),
+            Holder::Native => self.native_taken = self.native_taken.wrapping_add(1),
             Holder::Clearing | Holder::Nobody => {}
         }
     }
 
     /// The held command is over: its effect was seen, its time has passed, or a stop replaces it.
-    fn ended(&mut self) {
-        let seen = self.edges.is_seen();
+    fn ended(&mut self, seen: &Seen, rules: &Rules) {
+        let has_effect = self.edges.is_seen();
         match std::mem::take(&mut self.holder) {
             // Until it is seen it is repeated; the machine gives up an enable, and a reset.
             Holder::Power if self.power_step == Step::Held => {
-                self.power_step =
-                    if seen || self.power.value == Power::FaultReset { Step::Settled } else { Step::Due };
+                self.power_step = if has_effect || self.power.value == Power::FaultReset {
+                    Step::Settled
+                } else {
+                    Step::Due
+                };
             }
-            Holder::Motion => self.motion_ended(seen),
+            Holder::Motion => self.motion_ended(has_effect, seen, rules),
             _ => {}
         }
     }
 
     /// The same command would be sent again, and acted on: it waits for no later enable, and another speed of a jog
     /// that is over would begin a new one.
-    fn may_repeat(&self, seen: &Seen) -> bool {
+    fn may_repeat(&self, seen: &Seen, rules: &Rules) -> bool {
         self.power.value == Power::EnableOperation
             && seen.is_enabled()
-            && self.motion_word(self.motion.value, seen) == Some(self.word)
+            && rules.motion_word(self.motion.value, seen) == Some(self.word)
     }
 
     /// The motion is not sent any more. One that power off has replaced was not refused.
@@ -501,28 +468,28 @@ impl Profile {
         Step::Settled
     }
 
-    fn motion_ended(&mut self, seen: bool) {
+    fn motion_ended(&mut self, has_effect: bool, seen: &Seen, rules: &Rules) {
         let stops = matches!(self.motion.value, Motion::Ramp { .. } | Motion::Halt);
         self.motion_step = match self.motion_step {
-            Step::Held if stops && !seen => Step::Due,
-            Step::Held if self.motion.value == Motion::Home && seen => Step::Runs,
+            Step::Held if stops && !has_effect => Step::Due,
+            Step::Held if self.motion.value == Motion::Home && has_effect => Step::Runs,
             Step::Held => {
-                let lost = !seen && !self.is_taken;
+                let lost = !has_effect && !self.is_taken;
                 // It was no edge if each idle packet before it was lost. Of another speed nothing shows that it was
                 // taken. A relative move or a homing could be made twice.
                 let most = match self.word {
                     command::JOG_SPEED => 1,
-                    command::MOVE_ABSOLUTE | command::JOG if lost => REPEATS,
+                    command::MOVE_ABSOLUTE | command::JOG if lost => MOST_REPEATS,
                     _ => 0,
                 };
-                if self.repeats < most && self.may_repeat(&self.proved) {
+                if self.repeats < most && self.may_repeat(seen, rules) {
                     self.repeats += 1;
                     Step::Due
                 } else {
                     self.not_taken()
                 }
             }
-            Step::Zeroing { .. } if seen => {
+            Step::Zeroing { .. } if has_effect => {
                 (self.homing, self.homed) = (HomingIs::Attained, true);
                 Step::Settled
             }
@@ -555,7 +522,7 @@ mod tests {
             let mut evidence = Evidence::default();
             for turn in 0..3_000 {
                 if turn == 20 {
-                    assert_eq!(profile.outputs.command, command::JOG);
+                    assert_eq!(profile.state.left().outputs.command, command::JOG);
                     desired.power = Intent { serial: 2, value: power };
                 }
                 profile.encode(Time(turn * MS), &desired, &seen, &mut port);

@@ -1,7 +1,7 @@
 //! What a packet of the drive proves: effects of the command that is held, the end of what runs, and what has to be
 //! repeated.
 
-use super::{BUSY, BUSY_NOW, Holder, Profile, Seen, Step};
+use super::{BUSY, BUSY_NOW, Holder, Profile, Rules, Seen, State, Step};
 use crate::plan::HomingMethod;
 use crate::wire::assembly::{command, status};
 use fieldbeat_core::bus::desired::{
@@ -12,24 +12,29 @@ impl Profile {
     /// What a packet of the drive proves.
     #[doc(hidden)]
     pub fn take(&mut self, seen: &Seen, evidence: &mut Evidence) {
+        let Profile { state, rules, settled, .. } = self;
+        state.change(|state| state.take(seen, rules, evidence));
+        *settled = state.left().is_settled().then(|| state.revision());
+    }
+}
+
+impl State {
+    fn take(&mut self, seen: &Seen, rules: &Rules, evidence: &mut Evidence) {
         self.edges.answered();
-        self.see(seen);
+        self.see(seen, rules);
         self.repeat(seen);
         let since = |settled: bool, serial: u64| if settled { serial } else { serial.saturating_sub(1) };
-        let (power, motion) = self.sent;
-        let delivered = self.edges.is_delivered();
-        let power_has = self.power.serial == power
-            && match self.power_step {
-                Step::Held => delivered,
-                Step::Due => false,
-                _ => true,
-            };
+        let power_has = match self.power_step {
+            Step::Held => self.edges.is_delivered(),
+            Step::Due => false,
+            _ => true,
+        };
         // One that waits for a busy drive is known to the drive machine by that.
         let waits =
             self.power_step == Step::Due && self.power.value == Power::EnableOperation && seen.has(BUSY);
-        evidence.accepted.power = evidence.accepted.power.max(since(power_has || waits, power));
-        let motion_has = self.motion.serial == motion && self.is_taken;
-        evidence.accepted.motion = evidence.accepted.motion.max(since(motion_has, motion));
+        let accepted = &mut evidence.accepted;
+        accepted.power = accepted.power.max(since(power_has || waits, self.power.serial));
+        accepted.motion = accepted.motion.max(since(self.is_taken, self.motion.serial));
         evidence.refused = self.refused;
         evidence.homing = self.homing;
         evidence.reference = Some(if self.homed { Reference::Set } else { Reference::Silent });
@@ -39,22 +44,19 @@ impl Profile {
         evidence.obstacle = seen.has(BUSY).then_some(BUSY_NOW);
         let active = seen.has(status::FAULT);
         evidence.fault = FaultIs { active, named: true, resettable: Resettable::Now };
-        self.proved = *seen;
-        self.steady = self.is_settled();
     }
 
     /// Nothing is under way, and nothing is to be sent but idle.
-    pub(super) fn is_settled(&self) -> bool {
+    fn is_settled(&self) -> bool {
         self.edges.is_settled()
             && self.power_step == Step::Settled
             && matches!(self.motion_step, Step::Settled)
             && !matches!(self.motion.value, Motion::Native(_))
-            && self.sent == (self.power.serial, self.motion.serial)
             && self.is_taken
     }
 
     /// Effects of the held command, and of one that runs.
-    pub(super) fn see(&mut self, seen: &Seen) {
+    fn see(&mut self, seen: &Seen, rules: &Rules) {
         let delivered = self.edges.is_delivered();
         let effect = match (self.holder, self.power.value, self.motion.value) {
             (Holder::Power, Power::EnableOperation, _) => seen.is_enabled(),
@@ -71,7 +73,7 @@ impl Profile {
             }
             (Holder::Motion, _, Motion::Ramp { .. } | Motion::Halt) => self.stands(seen, delivered),
             (Holder::Motion, _, Motion::Move { position, .. }) => {
-                let target = i64::from(self.rules.position(position, seen.demand));
+                let target = i64::from(rules.position(position, seen.demand));
                 seen.has(status::MOVING) || delivered && i64::from(seen.demand as i32) == target
             }
             (Holder::Motion, _, Motion::Velocity { .. }) if self.outputs.command == command::JOG => {
@@ -94,14 +96,14 @@ impl Profile {
             self.is_taken = self.motion.value == Motion::Hold;
             self.motion_step = if self.is_taken { Step::Settled } else { Step::Due };
         }
-        if self.motion_step == Step::Due && self.repeats > 0 && !self.may_repeat(seen) {
+        if self.motion_step == Step::Due && self.repeats > 0 && !self.may_repeat(seen, rules) {
             self.motion_step = self.not_taken();
         }
         if !seen.moves() && self.holder != Holder::Motion {
             (self.jog, self.ramp) = (None, None);
         }
         if self.motion_step == Step::Runs && !seen.moves() {
-            self.home_ended(seen);
+            self.home_ended(seen, rules);
         }
         if matches!(self.motion_step, Step::Zeroing { held: true }) && seen.demand as i32 == 0 {
             self.rehomed |= !std::mem::replace(&mut self.zeroed, true);
@@ -109,14 +111,14 @@ impl Profile {
     }
 
     /// It stands, after the stop was delivered, or has begun to brake.
-    pub(super) fn stands(&self, seen: &Seen, delivered: bool) -> bool {
+    fn stands(&self, seen: &Seen, delivered: bool) -> bool {
         seen.has(status::STOPPING) || delivered && !seen.moves()
     }
 
     /// The drive's homing is over.
-    pub(super) fn home_ended(&mut self, seen: &Seen) {
+    fn home_ended(&mut self, seen: &Seen, rules: &Rules) {
         let failed = !seen.is_enabled() || seen.alarm & !self.alarms_before != 0;
-        let seeks = self.rules.homing.as_ref().is_some_and(|homing| homing.method == HomingMethod::Seek);
+        let seeks = rules.homing.as_ref().is_some_and(|homing| homing.method == HomingMethod::Seek);
         self.motion_step = match () {
             () if failed => {
                 self.homing = HomingIs::Failed;
@@ -131,7 +133,7 @@ impl Profile {
     }
 
     /// A stop, and power off, are repeated until they are seen: whatever set the drive in motion after that.
-    pub(super) fn repeat(&mut self, seen: &Seen) {
+    fn repeat(&mut self, seen: &Seen) {
         let stops = matches!(self.motion.value, Motion::Ramp { .. } | Motion::Halt);
         if stops && self.motion_step == Step::Settled && seen.moves() && !seen.has(status::STOPPING) {
             self.motion_step = Step::Due;

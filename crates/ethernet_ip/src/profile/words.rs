@@ -1,8 +1,8 @@
 //! The command that is wanted next, with its parameters as the wire has them.
 
-use super::{BUSY, Holder, Profile, Rules, Seen, Step};
+use super::{BUSY, Holder, Rules, Seen, State, Step};
 use crate::edges::{Urgency, Wanted};
-use crate::native::{NativeOutput, NativePort};
+use crate::native::NativeOutput;
 use crate::plan::{HomingMethod, MOST_PER_REV};
 use crate::wire::assembly::{Letters, Outputs, command};
 use fieldbeat_core::axis::command::NativeOwner;
@@ -19,9 +19,14 @@ pub(super) enum Target {
     Relative(i32),
 }
 
-impl Profile {
+impl State {
     /// The command that is wanted next, and whose it is.
-    pub(super) fn wanted(&self, seen: &Seen, native: &mut NativePort) -> (Holder, Option<Wanted>) {
+    pub(super) fn wanted(
+        &self,
+        seen: &Seen,
+        next: Option<NativeOutput>,
+        rules: &Rules,
+    ) -> (Holder, Option<Wanted>) {
         let stops = |word| {
             let fast = word == command::STOP_FAST;
             let urgency = if fast { Urgency::FastStop } else { Urgency::Stop };
@@ -37,7 +42,7 @@ impl Profile {
             return (Holder::Power, Some(off));
         }
         if self.motion_step == Step::Due && is_stop {
-            return (Holder::Motion, stops(self.stop_word()));
+            return (Holder::Motion, stops(self.stop_word(rules)));
         }
         if is_due {
             return match self.power.value {
@@ -53,10 +58,10 @@ impl Profile {
         }
         match (self.motion_step, self.motion.value) {
             (Step::Clearing, _) if seen.moves() => (Holder::Clearing, stops(command::STOP)),
-            (Step::Due, motion) => (Holder::Motion, self.motion_word(motion, seen).and_then(moves)),
+            (Step::Due, motion) => (Holder::Motion, rules.motion_word(motion, seen).and_then(moves)),
             (Step::Zeroing { held: false }, _) => (Holder::Motion, goes(command::HOST)),
             (Step::Settled, Motion::Native(NativeOwner::Master)) if self.refused.is_none() => {
-                let next = native.peek().filter(is_motion);
+                let next = next.filter(is_motion);
                 (Holder::Native, next.and_then(|output| goes(output.outputs.command)))
             }
             _ => (Holder::Nobody, None),
@@ -64,9 +69,9 @@ impl Profile {
     }
 
     /// A stop along the ramp that is set, unless that of the motion that runs is flatter.
-    pub(super) fn stop_word(&self) -> u32 {
+    fn stop_word(&self, rules: &Rules) -> u32 {
         match (self.motion.value, self.ramp) {
-            (Motion::Ramp { deceleration }, Some(ramp)) if ramp < self.rules.acceleration(deceleration) => {
+            (Motion::Ramp { deceleration }, Some(ramp)) if ramp < rules.acceleration(deceleration) => {
                 command::STOP_FAST
             }
             (Motion::Ramp { .. }, _) => command::STOP,
@@ -74,28 +79,18 @@ impl Profile {
         }
     }
 
-    pub(super) fn motion_word(&self, motion: Motion, seen: &Seen) -> Option<u32> {
-        Some(match motion {
-            Motion::Move { position, .. } => match self.rules.target(position, seen.demand) {
-                Target::Absolute(_) => command::MOVE_ABSOLUTE,
-                Target::Relative(_) => command::MOVE_RELATIVE,
-            },
-            Motion::Velocity { .. } if seen.jogs() => command::JOG_SPEED,
-            Motion::Velocity { .. } => command::JOG,
-            Motion::Home => match self.rules.homing.as_ref()?.method {
-                HomingMethod::Seek => command::SEEK_HOME,
-                HomingMethod::Find => command::FIND_HOME,
-            },
-            _ => return None,
-        })
-    }
-
     /// What goes with the command that begins.
-    pub(super) fn parameters(&self, holder: Holder, seen: &Seen, native: &mut NativePort) -> Outputs {
-        let Rules { units, homing, .. } = &self.rules;
+    pub(super) fn parameters(
+        &self,
+        holder: Holder,
+        seen: &Seen,
+        next: Option<NativeOutput>,
+        rules: &Rules,
+    ) -> Outputs {
+        let Rules { units, homing, .. } = rules;
         let before = self.outputs;
         if holder == Holder::Native {
-            return native.peek().map_or(before, |output| output.outputs);
+            return next.map_or(before, |output| output.outputs);
         }
         if holder != Holder::Motion {
             return before;
@@ -105,31 +100,31 @@ impl Profile {
                 Outputs { letters: SET_POSITION, register_1: 0, register_2: 0, ..before }
             }
             (_, Motion::Move { position, profile }) => Outputs {
-                velocity: self.rules.speed(profile.velocity),
-                acceleration: self.rules.acceleration(profile.acceleration),
-                deceleration: self.rules.acceleration(profile.deceleration),
-                distance: match self.rules.target(position, seen.demand) {
+                velocity: rules.speed(profile.velocity),
+                acceleration: rules.acceleration(profile.acceleration),
+                deceleration: rules.acceleration(profile.deceleration),
+                distance: match rules.target(position, seen.demand) {
                     Target::Absolute(distance) | Target::Relative(distance) => distance,
                 },
                 ..before
             },
             (_, Motion::Velocity { velocity, acceleration }) => {
-                let ramp = self.rules.acceleration(acceleration);
+                let ramp = rules.acceleration(acceleration);
                 Outputs {
-                    jog_speed: self.rules.signed_speed(velocity),
+                    jog_speed: rules.signed_speed(velocity),
                     jog_acceleration: ramp,
                     jog_deceleration: ramp,
                     ..before
                 }
             }
             (_, Motion::Ramp { deceleration }) => {
-                let ramp = self.rules.acceleration(deceleration);
+                let ramp = rules.acceleration(deceleration);
                 Outputs { deceleration: ramp, jog_deceleration: ramp, ..before }
             }
             (_, Motion::Home) => homing.as_ref().map_or(before, |homing| {
-                let ramp = self.rules.acceleration(homing.acceleration);
+                let ramp = rules.acceleration(homing.acceleration);
                 Outputs {
-                    velocity: self.rules.speed(homing.velocity),
+                    velocity: rules.speed(homing.velocity),
                     acceleration: ramp,
                     deceleration: ramp,
                     distance: (homing.distance * units.counts_per_unit).round() as i32,
@@ -144,6 +139,22 @@ impl Profile {
 }
 
 impl Rules {
+    pub(super) fn motion_word(&self, motion: Motion, seen: &Seen) -> Option<u32> {
+        Some(match motion {
+            Motion::Move { position, .. } => match self.target(position, seen.demand) {
+                Target::Absolute(_) => command::MOVE_ABSOLUTE,
+                Target::Relative(_) => command::MOVE_RELATIVE,
+            },
+            Motion::Velocity { .. } if seen.jogs() => command::JOG_SPEED,
+            Motion::Velocity { .. } => command::JOG,
+            Motion::Home => match self.homing.as_ref()?.method {
+                HomingMethod::Seek => command::SEEK_HOME,
+                HomingMethod::Find => command::FIND_HOME,
+            },
+            _ => return None,
+        })
+    }
+
     /// Not zero: with a zero the drive would never arrive. What the wire cannot carry was refused before.
     pub(super) fn speed(&self, velocity: f64) -> u32 {
         ((velocity * self.velocity).abs().round() as u32).max(1)
