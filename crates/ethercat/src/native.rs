@@ -175,8 +175,14 @@ impl NativePort {
         Some(at)
     }
 
-    pub(super) fn next(&mut self) -> Option<NativeOutput> {
-        self.outputs.pop()
+    /// The next output, which stays until it is [taken](Self::pop).
+    pub(super) fn peek(&mut self) -> Option<NativeOutput> {
+        self.outputs.peek().copied()
+    }
+
+    /// The next output has left.
+    pub(super) fn pop(&mut self) {
+        let _ = self.outputs.pop();
     }
 
     /// Drops the outputs of a native mode that has ended; not those that the application writes meanwhile, which
@@ -513,9 +519,10 @@ mod tests {
             native.write(output).unwrap();
         }
         assert_eq!(native.write(output), Err(output));
-        assert_eq!(port.next(), Some(output));
+        assert_eq!(port.peek(), Some(output));
+        port.pop();
         port.flush();
-        assert_eq!(port.next(), None);
+        assert_eq!(port.peek(), None);
     }
 
     #[test]

@@ -21,11 +21,12 @@ pub use self::offsets::reports_position;
 use super::mode::Mode;
 use super::native::{NativeOutput, NativePort};
 use super::plan::{KollmorgenDrive, Start, Watchdog};
-use fieldbeat_core::axis::State;
+use fieldbeat_core::axis::State as Cia402;
 use fieldbeat_core::axis::command::NativeOwner;
+use fieldbeat_core::bus::Prepared;
 use fieldbeat_core::bus::cia402::{ControlCommand, ControlWord, StatusWord};
 use fieldbeat_core::bus::desired::{
-    self, Desired, Evidence, FaultIs, Homing, ModeIs, Motion, Power, Quantity, Resettable, Setpoint,
+    self, Desired, Evidence, FaultIs, Homing, Intent, ModeIs, Motion, Power, Quantity, Resettable,
 };
 use fieldbeat_core::rt::Regions;
 use fieldbeat_core::time::{MS, S, Time};
@@ -59,7 +60,7 @@ pub struct Inputs {
     /// Its status word.
     pub status: StatusWord,
     /// By the status word.
-    pub state: State,
+    pub state: Cia402,
     /// It has power, as it is reported: below OP it follows no setpoint.
     pub is_powered: bool,
     /// Actual position, user units, not folded into one turn.
@@ -76,7 +77,7 @@ pub struct Inputs {
 
 impl Inputs {
     fn faulted(&self) -> bool {
-        matches!(self.state, State::Fault | State::FaultReactionActive)
+        matches!(self.state, Cia402::Fault | Cia402::FaultReactionActive)
     }
 }
 
@@ -107,13 +108,74 @@ impl Carried {
     }
 }
 
+/// What the outputs that left have led to.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct State {
+    power: Intent<Power>,
+    mode: Intent<desired::Mode>,
+    motion: Intent<Motion>,
+    control: ControlWord,
+    /// It homes, or has not left the mode of that.
+    homes: bool,
+    /// The mode of homing was wanted, and the drive was not seen in its own one since: there the bits of its own mode
+    /// start a homing.
+    is_away: bool,
+    /// Where the drive holds itself by a target that its mode follows and that is not the setpoint.
+    held: Option<i32>,
+    /// The native output of the application, and how many of them have left.
+    output: Option<NativeOutput>,
+    native_taken: u32,
+}
+
+impl State {
+    fn is_native(&self) -> bool {
+        matches!(self.motion.value, Motion::Native(_))
+    }
+
+    /// Something else is desired.
+    fn desire(&mut self, desired: &Desired, mode_bits: u16) {
+        let Desired { power, mode, motion, .. } = *desired;
+        if motion.serial != self.motion.serial {
+            self.output = None;
+        }
+        (self.power, self.mode, self.motion) = (power, mode, motion);
+        self.homes |= motion.value == Motion::Home;
+        self.is_away |= self.homes || mode.value == desired::Mode::Homing;
+        let word = match power.value {
+            Power::Untouched | Power::Off => ControlWord(0),
+            Power::Shutdown => ControlCommand::Shutdown.word(),
+            Power::SwitchOn => ControlCommand::SwitchOn.word(),
+            Power::EnableOperation => ControlCommand::EnableOperation.word(),
+            Power::QuickStop => ControlCommand::QuickStop.word(),
+            Power::FaultReset => ControlWord(ControlWord::FAULT_RESET),
+        };
+        let bits = match motion.value {
+            _ if power.value != Power::EnableOperation => 0,
+            Motion::Home => ControlWord::START,
+            // The start of a homing needs an edge of the same bit.
+            _ if self.is_away => 0,
+            _ => mode_bits,
+        };
+        let halt = if motion.value == Motion::Halt { ControlWord::HALT } else { 0 };
+        self.control = word.with(bits | halt);
+    }
+
+    /// Where a position target is that is not the setpoint. One that the mode follows, in native mode, stays as it was
+    /// when the drive came into operation, or when the application's motion ended: with a target that follows the motor
+    /// the position loop has no error to work against, and the axis sinks under its load.
+    fn hold(&mut self, (actual, is_enabled): (i32, bool)) {
+        let is_led = self.output.is_some() || self.motion.value == Motion::Halt || self.is_away;
+        let holds = is_enabled && self.power.value == Power::EnableOperation && !is_led;
+        self.held = holds.then_some(self.held.unwrap_or(actual));
+    }
+}
+
 /// The profile of one drive.
 #[derive(Debug)]
 #[repr(C)] // What an exchange touches in any case comes first, and is dense.
 pub struct Profile {
-    /// The slot of the grid that the prepared exchange is built for, and the serials and the row desired in it.
+    /// The slot of the grid that the prepared exchange is built for, and the row desired in it.
     pub grid: Time,
-    serials: (u64, u64, u64),
     wanted_row: u64,
     row: Carried,
     /// The exchanges that were answered.
@@ -125,18 +187,12 @@ pub struct Profile {
     quantity: Quantity,
     /// What is neither control word nor setpoint is in the outputs.
     is_filled: bool,
-    /// Who owns the control word in native mode; `None`: that does not run.
-    native_owner: Option<NativeOwner>,
-    /// The next native output of the application went out.
-    is_sent: bool,
-    control: ControlWord,
     setpoint: i32,
     sent: Sent,
+    state: Prepared<State>,
     /// The offsets of its process data.
     pub offsets: Offsets,
     native: NativePort,
-    /// What is desired in the prepared exchange.
-    wanted: Desired,
     /// Bits that the mode of the setpoint needs while the drive is in operation.
     mode_bits: u16,
     /// It may have a watchdog: the configuration does not switch it off.
@@ -144,20 +200,11 @@ pub struct Profile {
     /// It was found with another watchdog than configured.
     pub found_otherwise: bool,
     mode_refused: bool,
-    /// It homes, or has not left the mode of that.
-    homes: bool,
-    /// The mode of homing was wanted, and the drive was not seen in its own one since: there the bits of its own mode
-    /// start a homing.
-    is_away: bool,
-    /// The next native output of the application.
-    output: Option<NativeOutput>,
     power: Carried,
     motion: Carried,
     switching: Switching,
     /// When it was last seen without its hardware enable.
     dark_at: Option<Time>,
-    /// Where the drive holds itself by a target that its mode follows and that is not the setpoint.
-    held: Option<i32>,
 }
 
 /// What went out.
@@ -196,18 +243,11 @@ impl Profile {
             watched: drive.slave.watchdog != Watchdog::Off,
             found_otherwise: false,
             mode_refused: false,
-            native_owner: None,
             grid: Time(0),
-            serials: (0, 0, 0),
             wanted_row: 0,
-            wanted: Desired::default(),
-            control: ControlWord(0),
             setpoint: 0,
             is_filled: false,
-            homes: false,
-            is_away: false,
-            output: None,
-            is_sent: true,
+            state: Prepared::new(State::default()),
             sent: Sent::default(),
             answers: 0,
             power: Carried::default(),
@@ -215,7 +255,6 @@ impl Profile {
             row: Carried::default(),
             switching: Switching::default(),
             dark_at: None,
-            held: None,
         }
     }
 
@@ -225,31 +264,12 @@ impl Profile {
         self.offsets.memory(regions);
     }
 
-    /// Takes what is desired; true: it is something else than before, and not only another setpoint.
+    /// Writes the output PDO of the exchange in slot `grid` over the one before; `actual`: the newest count of its
+    /// position, and whether it was in operation there, for targets that are not the setpoint. Built again for the same
+    /// send, it is the same.
     #[inline]
-    pub(super) fn desire(&mut self, desired: &Desired) -> bool {
-        let Desired { power, mode, motion, .. } = desired;
-        let (of_power, of_mode, of_motion) = self.serials;
-        let is_new = power.serial != of_power || mode.serial != of_mode || motion.serial != of_motion;
-        if is_new {
-            self.serials = (power.serial, mode.serial, motion.serial);
-            self.change(desired);
-        }
-        is_new
-    }
-
-    /// Writes the output PDO of the exchange in slot `grid` over the one before, with this setpoint; `actual`: the
-    /// newest count of its position, and whether it was in operation there, for targets that are not the setpoint.
-    /// Built again for the same send, it is the same: state that changes with every exchange changes in
-    /// [`sent`](Self::sent).
-    #[inline]
-    pub(super) fn encode(
-        &mut self,
-        grid: Time,
-        setpoint: &Setpoint,
-        actual: (i32, bool),
-        outputs: &mut [u8],
-    ) {
+    pub(super) fn encode(&mut self, grid: Time, desired: &Desired, actual: (i32, bool), outputs: &mut [u8]) {
+        let setpoint = &desired.setpoint;
         self.grid = grid;
         self.wanted_row = setpoint.row;
         self.setpoint = if self.quantity == Quantity::Position {
@@ -260,29 +280,39 @@ impl Profile {
             // Without a setpoint its scale is 0.
             rounded(if is_velocity { setpoint.velocity } else { setpoint.torque } * self.scale) as i32
         };
+        let is_native = matches!(desired.motion.value, Motion::Native(_));
+        if is_native || self.offsets.follows || !self.state.holds(desired.revision()) {
+            self.build(desired, actual);
+        }
         if !std::mem::replace(&mut self.is_filled, true) {
             self.offsets.fill(outputs);
         }
-        self.offsets.write(self.control.0, self.setpoint, outputs);
+        let state = self.state.proposed();
+        self.offsets.write(state.control.0, self.setpoint, outputs);
         if self.offsets.follows {
-            self.follow(actual, outputs);
+            self.offsets.follow(actual.0, state.held.unwrap_or(actual.0), outputs);
         }
-        if let Some(owner) = self.native_owner {
-            self.encode_native(owner, outputs);
+        if is_native {
+            self.encode_native(outputs);
         }
     }
 
-    /// Writes the actual position where a position target is that is not the setpoint. One that the mode follows, in
-    /// native mode, stays as it was when the drive came into operation, or when the application's motion ended: with a
-    /// target that follows the motor the position loop has no error to work against, and the axis sinks under its load.
-    #[cold]
-    fn follow(&mut self, (actual, is_enabled): (i32, bool), outputs: &mut [u8]) {
-        let Desired { power, motion, .. } = &self.wanted;
-        let is_written = self.native_owner.is_some() && self.output.is_some();
-        let is_led = is_written || motion.value == Motion::Halt || self.is_away;
-        let holds = is_enabled && power.value == Power::EnableOperation && !is_led;
-        self.held = holds.then_some(self.held.unwrap_or(actual));
-        self.offsets.follow(actual, self.held.unwrap_or(actual), outputs);
+    /// What is not in the setpoint alone.
+    #[inline(never)]
+    fn build(&mut self, desired: &Desired, actual: (i32, bool)) {
+        let state = self.state.propose(desired.revision());
+        // What the application has written before the mode begins is dropped.
+        let goes_on = state.motion.serial == desired.motion.serial;
+        state.desire(desired, self.mode_bits);
+        if state.is_native()
+            && goes_on
+            && let Some(output) = self.native.peek()
+        {
+            (state.output, state.native_taken) = (Some(output), state.native_taken.wrapping_add(1));
+        }
+        if self.offsets.follows {
+            state.hold(actual);
+        }
     }
 
     /// The outputs are not the ones that were written last.
@@ -302,19 +332,13 @@ impl Profile {
     }
 
     /// Writes the native outputs of the application over those of the master.
-    fn encode_native(&mut self, owner: NativeOwner, outputs: &mut [u8]) {
-        if self.is_sent
-            && let Some(output) = self.native.next()
-        {
-            // Each one is sent, even if a request fails.
-            (self.output, self.is_sent) = (Some(output), false);
-        }
-        let Some(output) = &self.output else { return };
+    fn encode_native(&mut self, outputs: &mut [u8]) {
+        let State { output: Some(output), motion, control, .. } = self.state.proposed() else { return };
         self.is_filled = false;
         let size = output.bytes().len().min(outputs.len());
         outputs[..size].copy_from_slice(&output.bytes()[..size]);
-        if owner == NativeOwner::Master {
-            self.offsets.write_control(self.control.0, outputs);
+        if motion.value == Motion::Native(NativeOwner::Master) {
+            self.offsets.write_control(control.0, outputs);
         }
     }
 
@@ -330,52 +354,21 @@ impl Profile {
         self.native.publish(at, is_native, inputs);
     }
 
-    /// Something else is desired.
-    #[cold]
-    fn change(&mut self, desired: &Desired) {
-        let Desired { power, mode, motion, .. } = *desired;
-        if motion.serial != self.wanted.motion.serial {
-            (self.output, self.is_sent) = (None, true);
-            self.native.flush();
-        }
-        self.wanted = *desired;
-        self.native_owner = if let Motion::Native(owner) = motion.value { Some(owner) } else { None };
-        self.homes |= motion.value == Motion::Home;
-        self.is_away |= self.homes || mode.value == desired::Mode::Homing;
-        let word = match power.value {
-            Power::Untouched | Power::Off => ControlWord(0),
-            Power::Shutdown => ControlCommand::Shutdown.word(),
-            Power::SwitchOn => ControlCommand::SwitchOn.word(),
-            Power::EnableOperation => ControlCommand::EnableOperation.word(),
-            Power::QuickStop => ControlCommand::QuickStop.word(),
-            Power::FaultReset => ControlWord(ControlWord::FAULT_RESET),
-        };
-        let bits = match motion.value {
-            _ if power.value != Power::EnableOperation => 0,
-            Motion::Home => ControlWord::START,
-            // The start of a homing needs an edge of the same bit.
-            _ if self.is_away => 0,
-            _ => self.mode_bits,
-        };
-        let halt = if motion.value == Motion::Halt { ControlWord::HALT } else { 0 };
-        self.control = word.with(bits | halt);
-    }
-
     /// Native mode runs.
     #[inline]
     pub(super) fn is_native(&self) -> bool {
-        self.native_owner.is_some()
+        self.state.left().is_native()
     }
 
     /// Something is desired of it: the drive is commanded from now on. Before, it is only read, and a drive found in
     /// OP continues as it was.
     pub fn writes(&self) -> bool {
-        self.wanted.power.serial > 0
+        self.state.proposed().power.serial > 0
     }
 
     /// The mode of operation that the drive shall have.
     pub(super) fn mode_wanted(&self) -> desired::Mode {
-        self.wanted.mode.value
+        self.state.left().mode.value
     }
 
     /// The drive refuses the mode of homing, or its homing cannot be configured.
@@ -383,26 +376,41 @@ impl Profile {
         self.mode_refused = self.mode_wanted() == desired::Mode::Homing;
     }
 
-    /// The last built exchange was sent, and its outputs count. Since the one before, nothing may have changed but the
-    /// setpoint and its row.
+    /// The last built exchange was sent, and its outputs count. Returns whether there was something new in it, but for
+    /// the setpoint and its row.
     #[inline]
-    pub(super) fn sent(&mut self) {
+    pub(super) fn sent(&mut self) -> bool {
         self.row.sent(self.wanted_row, self.answers);
         self.sent.setpoints = (self.setpoint, self.sent.setpoints.0);
-        self.is_sent = true;
+        let before = self.state.leave();
+        if let Some(before) = &before {
+            self.note_sent(before);
+        }
+        before.is_some()
+    }
+
+    #[inline(never)]
+    fn note_sent(&mut self, before: &State) {
+        let state = self.state.left();
+        if state.native_taken != before.native_taken {
+            self.native.pop();
+        }
+        if state.motion.serial != before.motion.serial {
+            self.native.flush();
+        }
     }
 
     /// More may have changed in the exchange that was [`sent`](Self::sent).
     #[inline(never)]
     pub(super) fn sent_anew(&mut self) {
-        let Desired { power, motion, .. } = &self.wanted;
+        let State { power, motion, control, .. } = *self.state.left();
         self.power.sent(power.serial, self.answers);
         self.motion.sent(motion.serial, self.answers);
         let sent = &mut self.sent;
         sent.follows = power.value == Power::EnableOperation;
         sent.homes = motion.value == Motion::Home;
-        if sent.control != Some(self.control) || sent.before != Some(self.control) {
-            sent.before = sent.control.replace(self.control);
+        if sent.control != Some(control) || sent.before != Some(control) {
+            sent.before = sent.control.replace(control);
             let on = ControlWord::ENABLE_VOLTAGE | ControlWord::NO_QUICK_STOP;
             let is_on = |word: Option<ControlWord>| word.is_some_and(|word| word.has(on));
             sent.is_on = is_on(sent.control) && is_on(sent.before);
@@ -449,13 +457,13 @@ impl Profile {
     /// The drive homes: its positions are about to change their origin.
     #[inline]
     pub(super) fn is_homing(&self) -> bool {
-        self.homes
+        self.state.left().homes
     }
 
     /// Its reference may change any time.
     #[inline]
     pub(super) fn is_finding_home(&self) -> bool {
-        self.homes && self.mode_wanted() == desired::Mode::Homing
+        self.is_homing() && self.mode_wanted() == desired::Mode::Homing
     }
 
     /// How far the homing is that was sent; `None`: none was sent last.
@@ -490,10 +498,9 @@ impl Profile {
     pub(super) fn prove(&mut self, inputs: &Inputs, mode: ModeIs, evidence: &mut Evidence) {
         if self.mode_wanted() != desired::Mode::Homing {
             self.mode_refused = false;
-            if self.is_away && mode == ModeIs::Own {
-                (self.homes, self.is_away) = (false, false);
-                // The bits of its mode are back.
-                self.serials = (0, 0, 0);
+            if self.state.left().is_away && mode == ModeIs::Own {
+                // The bits of its mode come back.
+                self.state.change(|state| (state.homes, state.is_away) = (false, false));
             }
         }
         let accepted = &mut evidence.accepted;
@@ -524,12 +531,12 @@ impl Profile {
 
     /// What is desired was sent and proved; what else is written and proved stays the same while the status does.
     pub(super) fn is_steady(&self, inputs: &Inputs) -> bool {
-        let Desired { power, mode, motion, .. } = &self.wanted;
+        let State { power, mode, motion, control, is_away, .. } = *self.state.left();
         let is_delivered =
             |carried: Carried, serial| carried.serial == serial && carried.is_delivered(self.answers);
         let is_proved = is_delivered(self.power, power.serial) && is_delivered(self.motion, motion.serial);
-        let is_written = self.sent.control == Some(self.control) && self.sent.before == Some(self.control);
-        let homes = self.is_away || self.sent.homes || mode.value == desired::Mode::Homing;
+        let is_written = self.sent.control == Some(control) && self.sent.before == Some(control);
+        let homes = is_away || self.sent.homes || mode.value == desired::Mode::Homing;
         // A missing hardware enable shows in the course of time.
         let is_dark = !inputs.state.is_powered() && (self.sent.is_on || self.dark_at.is_some());
         is_proved && is_written && !homes && !self.is_native() && !is_dark
@@ -548,7 +555,7 @@ fn homing(status: StatusWord) -> Homing {
 fn resettable(inputs: &Inputs) -> Resettable {
     match () {
         () if inputs.cold => Resettable::Never(Some(COLD_START)),
-        () if inputs.state == State::FaultReactionActive => Resettable::At(Time(u64::MAX)),
+        () if inputs.state == Cia402::FaultReactionActive => Resettable::At(Time(u64::MAX)),
         () => Resettable::Now,
     }
 }

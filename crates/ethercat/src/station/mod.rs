@@ -159,11 +159,8 @@ impl Station {
     /// Writes the outputs of the exchange in slot `grid`.
     #[inline]
     pub fn encode(&mut self, grid: Time, slot: &Slot, outputs: &mut [u8]) {
-        if self.profile.desire(&slot.desired) {
-            self.unsettle();
-        }
         let is_enabled = self.seen.inputs.operational && self.seen.inputs.state == State::OperationEnabled;
-        self.profile.encode(grid, &slot.desired.setpoint, (self.seen.last as i32, is_enabled), outputs);
+        self.profile.encode(grid, &slot.desired, (self.seen.last as i32, is_enabled), outputs);
     }
 
     /// The slave has entered this state; `None`: below SAFEOP, or not on the segment.
@@ -204,9 +201,9 @@ impl Station {
     pub fn sent(&mut self, sent_at: Time, reply_by: Time, slot: &mut Slot) {
         self.owe(sent_at, reply_by, slot);
         self.reached = true;
-        self.profile.sent();
+        let is_new = self.profile.sent();
         slot.gone.grid = Some(self.profile.grid);
-        if self.profile.grid >= self.steady_until {
+        if is_new || self.profile.grid >= self.steady_until {
             self.unsettle();
             self.request();
             self.profile.sent_anew();
