@@ -119,8 +119,14 @@ impl NativePort {
         Some(at)
     }
 
-    pub(super) fn next(&mut self) -> Option<NativeOutput> {
-        self.outputs.pop()
+    /// The next output, which stays until it is [taken](Self::pop).
+    pub(super) fn peek(&mut self) -> Option<NativeOutput> {
+        self.outputs.peek().copied()
+    }
+
+    /// The next output has left.
+    pub(super) fn pop(&mut self) {
+        let _ = self.outputs.pop();
     }
 
     /// Drops the outputs of a native mode that has ended; not those that the application writes meanwhile, which would
@@ -133,6 +139,16 @@ impl NativePort {
 }
 
 impl NativeOutput {
+    /// Takes the words of a later one.
+    pub(super) fn put_over(&mut self, later: &NativeOutput) {
+        self.mask |= later.mask;
+        for (n, (place, word)) in self.words.iter_mut().zip(later.words).enumerate() {
+            if later.mask >> n & 1 != 0 {
+                *place = word;
+            }
+        }
+    }
+
     /// Writes its words over the outputs behind the parameter channel; the first one too if it is `whole`.
     pub(super) fn put(&self, whole: bool, outputs: &mut [u8]) {
         let (places, _) = outputs.as_chunks_mut::<2>();

@@ -12,7 +12,8 @@ use super::native::{NativeOutput, NativePort};
 use super::plan::{DriveProfile, LenzeDrive, StatusBit};
 use super::wire::words::{DrivecomControl as Control, DrivecomStatus, ProfidriveStatus};
 use fieldbeat_core::axis::command::NativeOwner;
-use fieldbeat_core::axis::{Lacks, State};
+use fieldbeat_core::axis::{Lacks, State as Cia402};
+use fieldbeat_core::bus::Prepared;
 use fieldbeat_core::bus::desired::{
     Capabilities, Desired, Evidence, FaultIs, Generator, Motion, Power, Quantity, Resettable,
 };
@@ -38,7 +39,7 @@ const NOT_WATCHED: &str = "its diagnosis does not report its watchdog as on, not
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Inputs {
     pub status: u16,
-    pub state: State,
+    pub state: Cia402,
     pub sto_open: bool,
     /// The code of its fault; 0: it has none, or it is not known.
     pub fault: u16,
@@ -48,7 +49,7 @@ pub(super) struct Inputs {
 
 impl Inputs {
     pub(super) fn faulted(&self) -> bool {
-        matches!(self.state, State::Fault | State::FaultReactionActive)
+        matches!(self.state, Cia402::Fault | Cia402::FaultReactionActive)
     }
 }
 
@@ -73,12 +74,36 @@ impl Carried {
     }
 }
 
+/// What the telegrams that left have led to.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct State {
+    /// The serials of power and motion.
+    serials: (u64, u64),
+    /// It follows the set point.
+    runs: bool,
+    control: u16,
+    /// Who owns the control word in native mode; `None`: that does not run.
+    native_owner: Option<NativeOwner>,
+    /// The outputs of the application in this native mode, and those that stay of the ones before.
+    output: NativeOutput,
+    kept: NativeOutput,
+    native_taken: u32,
+}
+
+impl State {
+    /// What the application has written stays, but for the control word and the set point.
+    fn leave_native(&mut self) {
+        let output = std::mem::take(&mut self.output);
+        self.kept.put_over(&output);
+    }
+}
+
 /// The profile of one drive.
 #[derive(Debug)]
 #[repr(C)] // What an exchange touches in any case comes first.
 pub(super) struct Profile {
-    /// The serials and the velocity that the outputs are built of.
-    serials: (u64, u64),
+    state: Prepared<State>,
+    /// The velocity that the outputs are built of.
     velocity: f64,
     /// Counts of one user unit/s; negative if the axis is inverted.
     scale: f64,
@@ -86,25 +111,17 @@ pub(super) struct Profile {
     answers: u64,
     power: Carried,
     motion: Carried,
-    /// What is desired was sent, and is proved.
-    steady: bool,
-    /// It follows the set point.
-    runs: bool,
-    control: u16,
+    /// What is desired was sent, and is proved, as long as this is the revision of the state.
+    steady: Option<u64>,
     setpoint: i16,
     /// The set point that was sent last.
     turning: i16,
-    /// Who owns the control word in native mode; `None`: that does not run.
-    native_owner: Option<NativeOwner>,
-    /// The next native output went out.
-    is_sent: bool,
     /// The drive's watchdog was seen on, or nothing needs one.
     watched: bool,
     needs_watchdog: bool,
     profile: DriveProfile,
     ramp_bits: u16,
     enable_bit: Option<StatusBit>,
-    output: Option<NativeOutput>,
 }
 
 /// What a drive can do.
@@ -131,61 +148,64 @@ pub(super) fn capabilities(drive: &LenzeDrive) -> Capabilities {
 impl Profile {
     pub(super) fn new(drive: &LenzeDrive) -> Profile {
         Profile {
-            serials: (0, 0),
+            state: Prepared::new(State::default()),
             velocity: 0.0,
             scale: drive.counts_per_velocity(),
             answers: 0,
             power: Carried::default(),
             motion: Carried::default(),
-            steady: false,
-            runs: false,
-            control: 0,
+            steady: None,
             setpoint: 0,
             turning: 0,
-            native_owner: None,
-            is_sent: true,
             watched: false,
             needs_watchdog: drive.watchdog.timeout_ns.is_some(),
             profile: drive.profile,
             ramp_bits: if drive.ramp_bits { RAMP } else { 0 },
             enable_bit: drive.enable_bit,
-            output: None,
         }
     }
 
-    /// The control word and the set point that are desired with the next telegram, if they are others than before;
-    /// built again for the same telegram, they are the same.
+    /// The control word and the set point that are desired with the next telegram, if they are others than in the last
+    /// one that was built.
     #[inline]
     pub(super) fn encode(&mut self, desired: &Desired, native: &mut NativePort) -> Option<(u16, i16)> {
-        let Desired { power, motion, setpoint, .. } = desired;
-        let changed = (power.serial, motion.serial) != self.serials;
-        if changed {
-            self.change(desired, native);
-        }
-        if !changed && setpoint.velocity == self.velocity {
+        let is_built =
+            self.state.holds(desired.revision()) && !matches!(desired.motion.value, Motion::Native(_));
+        if !is_built {
+            self.build(desired, native);
+        } else if desired.setpoint.velocity == self.velocity {
             return None;
         }
-        self.velocity = setpoint.velocity;
+        let State { runs, control, .. } = *self.state.proposed();
+        self.velocity = desired.setpoint.velocity;
         // Rounded by hand: without SSE4.1 `round` is a call. A plan whose velocities do not fit is refused; the rest
         // saturates.
-        let raw = if self.runs { self.velocity * self.scale } else { 0.0 };
+        let raw = if runs { self.velocity * self.scale } else { 0.0 };
         self.setpoint = (raw + 0.5_f64.copysign(raw)) as i16;
-        Some((self.control, self.setpoint))
+        Some((control, self.setpoint))
     }
 
-    /// Something else is desired.
-    #[cold]
-    fn change(&mut self, desired: &Desired, native: &mut NativePort) {
+    /// Something else is desired, or written by the application.
+    #[inline(never)]
+    fn build(&mut self, desired: &Desired, native: &mut NativePort) {
         let Desired { power, motion, .. } = desired;
-        if motion.serial != self.serials.1 {
-            (self.output, self.is_sent) = (None, true);
-            native.flush();
+        let state = self.state.propose(desired.revision());
+        let begins = motion.serial != state.serials.1;
+        if begins {
+            state.leave_native();
         }
-        self.serials = (power.serial, motion.serial);
-        self.steady = false;
-        self.native_owner = if let Motion::Native(owner) = motion.value { Some(owner) } else { None };
+        state.serials = (power.serial, motion.serial);
+        state.native_owner = if let Motion::Native(owner) = motion.value { Some(owner) } else { None };
+        // What the application has written before the mode begins is dropped.
+        if state.native_owner.is_some()
+            && !begins
+            && let Some(output) = native.peek()
+        {
+            state.output.put_over(&output);
+            state.native_taken = state.native_taken.wrapping_add(1);
+        }
         let halted = motion.value == Motion::Halt;
-        self.runs = power.value == Power::EnableOperation && !halted;
+        state.runs = power.value == Power::EnableOperation && !halted;
         let word = match power.value {
             Power::Untouched | Power::Off => Control::INHIBIT,
             Power::Shutdown => Control::SHUTDOWN,
@@ -195,45 +215,65 @@ impl Profile {
             Power::QuickStop => Control::QUICK_STOP,
             Power::FaultReset => Control(Control::FAULT_RESET),
         };
-        self.control = match self.profile {
+        state.control = match self.profile {
             DriveProfile::Profidrive if power.value != Power::Untouched => word.0 | Control::BY_PLC,
             _ => word.0,
         };
     }
 
-    /// The native output of the application that the next telegram carries, and whether it owns the control word.
-    #[inline]
-    pub(super) fn native(&mut self, native: &mut NativePort) -> Option<(&NativeOutput, bool)> {
-        let owner = self.native_owner?;
-        if self.is_sent
-            && let Some(output) = native.next()
-        {
-            // Each one is sent, even if a telegram fails.
-            (self.output, self.is_sent) = (Some(output), false);
-        }
-        self.output.as_ref().map(|output| (output, owner == NativeOwner::Application))
+    /// What the application has written in native modes that are over.
+    pub(super) fn kept(&self) -> &NativeOutput {
+        &self.state.proposed().kept
     }
 
-    /// Native mode runs.
+    /// What it writes in the one that runs, and whether it owns the control word.
+    pub(super) fn native(&self) -> Option<(&NativeOutput, bool)> {
+        let State { native_owner, output, .. } = self.state.proposed();
+        native_owner.map(|owner| (output, owner == NativeOwner::Application))
+    }
+
+    /// The control word and the set point of the telegram that is built.
+    pub(super) fn values(&self) -> (u16, i16) {
+        (self.state.proposed().control, self.setpoint)
+    }
+
+    /// Native mode runs with the telegram that is built.
     #[inline]
     pub(super) fn is_native(&self) -> bool {
-        self.native_owner.is_some()
+        self.state.proposed().native_owner.is_some()
+    }
+
+    /// A report has changed what the next telegram was built from.
+    #[inline]
+    pub(super) fn is_void(&self) -> bool {
+        self.state.is_void()
     }
 
     /// The next telegram has to be Data_Exchange: nothing of what is desired was sent yet.
     #[inline]
     pub(super) fn is_new(&self) -> bool {
-        (self.power.serial, self.motion.serial) != self.serials
+        self.state.proposed().serials != self.state.left().serials
     }
 
     /// The telegram with the outputs that were built last has left; of one that is repeated, once.
     #[inline]
-    pub(super) fn sent(&mut self) {
+    pub(super) fn sent(&mut self, native: &mut NativePort) {
         self.turning = self.setpoint;
-        if !self.steady {
-            self.is_sent = true;
-            self.power.sent(self.serials.0, self.answers);
-            self.motion.sent(self.serials.1, self.answers);
+        if let Some(before) = self.state.leave() {
+            self.note_sent(&before, native);
+        }
+    }
+
+    #[inline(never)]
+    fn note_sent(&mut self, before: &State, native: &mut NativePort) {
+        let State { serials, native_taken, .. } = *self.state.left();
+        self.power.sent(serials.0, self.answers);
+        self.motion.sent(serials.1, self.answers);
+        if native_taken != before.native_taken {
+            native.pop();
+        }
+        if serials.1 != before.serials.1 {
+            native.flush();
         }
     }
 
@@ -246,19 +286,18 @@ impl Profile {
     /// The drive has left Data_Exchange: what is sent from now on is proved anew. `watched`: its watchdog is on, as far
     /// as that is known.
     pub(super) fn dropped(&mut self) {
-        (self.power.since, self.motion.since, self.steady) = (self.answers, self.answers, false);
-        (self.output, self.is_sent) = (None, true);
+        (self.power.since, self.motion.since, self.steady) = (self.answers, self.answers, None);
+        self.state.change(State::leave_native);
     }
 
     /// Its diagnosis reports its watchdog as on, or off.
     pub(super) fn watchdog_is(&mut self, on: bool) {
-        self.watched = on || !self.needs_watchdog;
-        self.steady = false;
+        (self.watched, self.steady) = (on || !self.needs_watchdog, None);
     }
 
     /// Its state by the status word.
     #[inline]
-    pub(super) fn state(&self, status: u16) -> State {
+    pub(super) fn state(&self, status: u16) -> Cia402 {
         match self.profile {
             DriveProfile::Drivecom => DrivecomStatus(status).state(),
             DriveProfile::Profidrive => ProfidriveStatus(status).state(),
@@ -280,7 +319,7 @@ impl Profile {
     /// The next report proves the same, if its status is the same.
     #[inline]
     pub(super) fn is_steady(&self) -> bool {
-        self.steady
+        self.steady == Some(self.state.revision())
     }
 
     /// What a report proves.
@@ -296,15 +335,15 @@ impl Profile {
         evidence.obstacle = (!self.watched).then_some(NOT_WATCHED);
         let faulted = inputs.faulted();
         let resettable = match inputs.state {
-            State::FaultReactionActive => Resettable::At(Time(u64::MAX)),
+            Cia402::FaultReactionActive => Resettable::At(Time(u64::MAX)),
             _ => Resettable::Now,
         };
         evidence.fault = FaultIs { active: faulted, named: !faulted || inputs.named, resettable };
-        self.steady = !self.is_new()
-            && !self.is_native()
+        let is_steady = self.state.left().native_owner.is_none()
             && self.power.is_delivered(self.answers)
             && self.motion.is_delivered(self.answers)
             && (!faulted || inputs.named);
+        self.steady = is_steady.then(|| self.state.revision());
     }
 }
 

@@ -90,8 +90,11 @@ pub struct Station {
     start_up: StartUp,
     velocity_per_count: f64,
     inputs: Inputs,
-    /// Data_Exchange as it is sent next.
+    /// Data_Exchange as it is sent next; its outputs behind the parameter channel where the application writes none.
     telegram: Telegram,
+    own_outputs: Box<[u8]>,
+    /// The application writes some of them with this telegram.
+    has_native: bool,
     pub(super) profile: Profile,
     native: NativePort,
     acyclic: Acyclic,
@@ -141,6 +144,8 @@ impl Station {
             velocity_per_count: 1.0 / scale,
             inputs: Inputs::default(),
             telegram: Telegram::new(drive.address, own, outputs)?,
+            own_outputs: Box::default(),
+            has_native: false,
             profile: Profile::new(drive),
             native,
             acyclic: Acyclic::new(drive, port),
@@ -154,6 +159,7 @@ impl Station {
                 station.telegram.put(at, *value);
             }
         }
+        station.own_outputs = station.telegram.outputs(station.process_at).into();
         Some((station, application, ends))
     }
 
@@ -166,6 +172,7 @@ impl Station {
     /// Adds what it touches besides itself, to be locked.
     pub(super) fn memory(&self, regions: &mut Regions) {
         regions.add(self.telegram.bytes());
+        regions.add(&*self.own_outputs);
         regions.add(self.start_up.wanted());
         regions.add(&*self.shown);
         self.native.memory(regions);
@@ -209,13 +216,7 @@ impl Station {
     #[inline]
     pub fn prepare(&mut self, cycle: &Cycle, slot: &mut Slot) {
         (self.grid, self.window_end) = (cycle.grid, cycle.deadline);
-        if let Some((control, setpoint)) = self.profile.encode(&slot.desired, &mut self.native) {
-            self.telegram.put(self.process_at, control);
-            self.telegram.put(self.set_point_at, setpoint as u16);
-        }
-        if self.profile.is_native() {
-            self.prepare_native();
-        }
+        self.prepare_outputs(slot);
         if !self.acyclic.is_idle() || self.guarded != slot.guarded {
             self.prepare_acyclic(slot);
         } else {
@@ -223,9 +224,35 @@ impl Station {
         }
     }
 
+    #[inline]
+    fn prepare_outputs(&mut self, slot: &Slot) {
+        let values = self.profile.encode(&slot.desired, &mut self.native);
+        if self.has_native || self.profile.is_native() {
+            self.prepare_native();
+        } else if let Some(values) = values {
+            self.put(values);
+        }
+    }
+
+    #[inline]
+    fn put(&mut self, (control, setpoint): (u16, i16)) {
+        self.telegram.put(self.process_at, control);
+        self.telegram.put(self.set_point_at, setpoint as u16);
+    }
+
+    /// All outputs anew, where the application writes some, or did: what it wrote in native modes before this one, the
+    /// control word and the set point, and what it writes in this one.
     #[inline(never)]
     fn prepare_native(&mut self) {
-        if let Some((output, whole)) = self.profile.native(&mut self.native) {
+        let (kept, own) = (self.profile.kept(), &self.own_outputs);
+        self.telegram.change(self.process_at, |outputs| {
+            outputs.copy_from_slice(own);
+            kept.put(false, outputs);
+        });
+        self.put(self.profile.values());
+        let output = self.profile.native();
+        self.has_native = output.is_some();
+        if let Some((output, whole)) = output {
             self.telegram.change(self.process_at, |outputs| output.put(whole, outputs));
         }
     }
@@ -261,6 +288,9 @@ impl Station {
         may_be_acyclic: bool,
         out: &mut [u8; MAX],
     ) -> Option<(usize, Expected)> {
+        if self.profile.is_void() {
+            self.prepare_outputs(slot);
+        }
         let usual = self.start_up.is_over() && slot.link == Link::Online && !self.diagnosis_due;
         if !usual || self.acyclic.data_unit().is_some() {
             self.sending = self.choose(slot, may_be_acyclic);
@@ -328,7 +358,7 @@ impl Station {
         }
         self.passed_over = false;
         slot.gone.grid = Some(self.grid);
-        self.profile.sent();
+        self.profile.sent(&mut self.native);
         if !self.acyclic.is_idle() {
             self.acyclic.sent(Turn::DataExchange);
         }
