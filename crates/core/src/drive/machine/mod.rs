@@ -35,10 +35,10 @@ use super::planner::Point;
 use crate::axis::command::NativeOwner;
 use crate::axis::limits::check_position;
 use crate::axis::{AxisPlan, Command, Failure, Lacks, Move, Row, State as Cia402, Target, Units};
-use crate::bus::Slot;
 use crate::bus::desired::{
     Capabilities, Desired, Follows, Generator, Intent, Mode, ModeIs, Motion, Power, Setpoint, Velocities,
 };
+use crate::bus::{Prepared, Slot};
 use crate::time::Time;
 
 /// How a command has ended; `None`: it is under way.
@@ -52,14 +52,12 @@ pub struct Machine {
     waiting: Option<Waiting>,
     /// What the command follows.
     pub input: Input,
-    /// What the requests that went out have led to.
-    state: State,
+    /// What the requests that went out have led to; proposed is the first request of the command that waits.
+    state: Prepared<State>,
     /// The newest command, and how it has ended.
     command: Option<Command>,
     end: End,
     rules: Rules,
-    /// The state with the first request of the command that waits.
-    proposed: State,
 }
 
 /// A command before its first request.
@@ -68,8 +66,6 @@ struct Waiting {
     /// `None`: it has failed, and what it has replaced ends.
     command: Option<Start>,
     since: Time,
-    /// The prepared request is built for it.
-    is_proposed: bool,
     /// The command before it failed before anything of that left: what that had replaced still has to end.
     quits: bool,
 }
@@ -83,7 +79,7 @@ enum Start {
 }
 
 /// The state of a drive as the master wants it, and how far it is on its way there.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 #[repr(C, align(64))]
 struct State {
     /// Sends since the step began.
@@ -198,8 +194,7 @@ impl Machine {
         Machine {
             waiting: None,
             input: Input::default(),
-            proposed: state.clone(),
-            state,
+            state: Prepared::new(state),
             command: None,
             end: None,
             rules,
@@ -210,7 +205,8 @@ impl Machine {
     pub fn start(&mut self, now: Time, command: Option<Command>) {
         let start = command.map_or(Start::TakeOver, Start::Command);
         let quits = self.waiting.is_some_and(|before| before.quits || before.command.is_none());
-        self.waiting = Some(Waiting { command: Some(start), since: now, is_proposed: false, quits });
+        self.waiting = Some(Waiting { command: Some(start), since: now, quits });
+        self.state.withdraw();
         (self.command, self.end) = (command, None);
         // The others begin without a velocity or torque, until they are given one.
         let level = if let Some(Command::Jog(jog)) = command { jog.velocity } else { 0.0 };
@@ -259,7 +255,7 @@ impl Machine {
     /// Writes what is desired of the drive with the send in slot `grid`. Returns whether the newest command has ended.
     #[inline]
     pub fn propose(&mut self, grid: Time, slot: &mut Slot) -> bool {
-        if self.waiting.is_none() && self.state.keeps_setpoint(&self.input, slot) {
+        if self.waiting.is_none() && self.state.left().keeps_setpoint(&self.input, slot) {
             return false;
         }
         self.plan(grid, slot);
@@ -270,44 +266,23 @@ impl Machine {
     fn plan(&mut self, grid: Time, slot: &mut Slot) {
         let view = View::of(&self.rules, &self.input, grid, slot);
         // A setpoint is planned from the last one that was sent: what was not sent leaves nothing behind.
-        let mut state = &mut self.state;
-        if let Some(waiting) = &mut self.waiting {
-            self.proposed.clone_from(state);
-            state = &mut self.proposed;
-            state.is_new = true;
-            if waiting.quits {
-                state.quit(&view);
-            }
-            let end = waiting.command.and_then(|start| state.begin(start, waiting.since, &view));
-            // What is to be taken over may not be known yet: then it waits on.
-            let unknown = view.status.state == Cia402::Unknown;
-            waiting.is_proposed =
-                end.is_some() || !(unknown && waiting.command.is_some_and(Start::needs_outputs));
-            if matches!(end, Some(Err(_))) {
-                // Nothing of it is written, however often this is proposed.
-                waiting.command = None;
-                let serial = state.serial;
-                state.clone_from(&self.state);
-                (state.serial, state.is_new) = (serial, true);
-            }
-            if waiting.command.is_none() {
-                state.quit(&view);
-            }
-            if end.is_some() {
-                self.end = self.end.or(end);
-            }
-        }
-        let end = state.lead(&view);
-        if end.is_some() {
-            self.end = self.end.or(end);
-        }
+        let waiting = self.waiting.as_mut();
+        let (begun, waits) = waiting.map_or((None, false), |waiting| waiting.begin(&mut self.state, &view));
+        let state = self.state.proposed_mut();
+        let led = state.lead(&view);
+        let end = begun.or(led);
+        self.end = self.end.or(end);
         if state.is_new {
             slot.desired = state.desired();
         } else {
             slot.desired.setpoint = state.setpoint;
         }
         // No serial is used twice: what is replaced before it left is another intent.
-        self.state.serial = state.serial;
+        let serial = state.serial;
+        self.state.left_mut().serial = serial;
+        if waits {
+            self.state.withdraw();
+        }
     }
 
     /// The proposed request has gone out in this slot of the grid.
@@ -316,20 +291,21 @@ impl Machine {
         if self.waiting.is_some() {
             self.commit_command();
         }
-        self.state.sent(grid);
+        self.state.left_mut().sent(grid);
     }
 
     #[cold]
     fn commit_command(&mut self) {
-        if self.waiting.take_if(|waiting| waiting.is_proposed).is_some() {
-            std::mem::swap(&mut self.state, &mut self.proposed);
+        if self.state.is_proposed() {
+            self.waiting = None;
+            self.state.leave();
         }
     }
 
     /// The reports of a cycle. Returns whether the newest command has ended.
     #[inline]
     pub fn observe(&mut self, now: Time, restarted: bool, slot: &Slot) -> bool {
-        if self.waiting.is_none() && !restarted && self.state.is_undisturbed(&self.input, slot) {
+        if self.waiting.is_none() && !restarted && self.state.left().is_undisturbed(&self.input, slot) {
             return false;
         }
         self.go_on(now, restarted, slot);
@@ -339,15 +315,16 @@ impl Machine {
     #[inline(never)]
     fn go_on(&mut self, now: Time, restarted: bool, slot: &Slot) {
         let view = View::of(&self.rules, &self.input, now, slot);
+        let state = self.state.left_mut();
         let end = match &self.waiting {
-            _ if restarted => self.state.drive_restarted(&view),
+            _ if restarted => state.drive_restarted(&view),
             // What it replaces has ended for the application.
             Some(Waiting { command: Some(start), since, .. }) => {
                 let late = now.since(*since) > self.rules.enable_timeout_ns && start.has_a_time_limit();
                 late.then_some(Err(Failure::TimedOut(slot.status.state)))
             }
             Some(Waiting { command: None, .. }) => None,
-            None => self.state.go_on(&view),
+            None => state.go_on(&view),
         };
         if let Some(end) = end
             && self.end.is_none()
@@ -379,6 +356,33 @@ impl Rules {
         let most = self.limits.acceleration.unwrap_or(self.profile.deceleration);
         let needed = if room > 0.0 { velocity * velocity / (2.0 * room) } else { most };
         requested.max(needed.min(most))
+    }
+}
+
+impl Waiting {
+    /// Begins it in a state that is only proposed. Returns how the command has ended, and whether it waits on.
+    fn begin(&mut self, prepared: &mut Prepared<State>, view: &View) -> (End, bool) {
+        // Its revision is of no interest: it is built again for each send.
+        let mut state = prepared.propose(0);
+        state.is_new = true;
+        if self.quits {
+            state.quit(view);
+        }
+        let end = self.command.and_then(|start| state.begin(start, self.since, view));
+        // What is to be taken over may not be known yet.
+        let unknown = view.status.state == Cia402::Unknown;
+        let waits = end.is_none() && unknown && self.command.is_some_and(Start::needs_outputs);
+        if matches!(end, Some(Err(_))) {
+            // Nothing of it is written, however often this is proposed.
+            self.command = None;
+            let serial = state.serial;
+            state = prepared.propose(0);
+            (state.serial, state.is_new) = (serial, true);
+        }
+        if self.command.is_none() {
+            state.quit(view);
+        }
+        (end, waits)
     }
 }
 

@@ -25,7 +25,7 @@ const RELEASE_S: f64 = 0.1;
 const AHEAD: f64 = 3.0;
 
 /// The setpoint over time.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 #[repr(C)]
 pub(super) struct Course {
     /// The setpoint follows `motion`; otherwise it is neutral.
