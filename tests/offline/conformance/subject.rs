@@ -2,10 +2,10 @@
 
 use std::io::Write;
 
-use fieldbeat::Time;
 use fieldbeat::axis::{AxisPlan, Call};
 use fieldbeat::bus::BusPlan;
 use fieldbeat::sim::{SimSegment, SimSerial, Simulated};
+use fieldbeat::{Axis, Time};
 
 /// One protocol, in one way of configuring it.
 ///
@@ -44,6 +44,9 @@ pub trait Subject: Sync {
 
     /// Acyclic calls that every drive of it takes in every state.
     fn calls(&self) -> Calls;
+
+    /// Writes native outputs to the drive of an axis, each with its number in it. None of them switches its power on.
+    fn native(&self, axis: &mut Axis) -> Box<dyn FnMut(u16)>;
 
     /// On a line, the place of drive `index` of `count`, counted from 0 at the master: the first one stands last, so
     /// that the cable in front of it can be cut.

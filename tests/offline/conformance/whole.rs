@@ -3,7 +3,8 @@
 use std::time::Duration;
 
 use fieldbeat::axis::{
-    Abort, Command, Failure, FoundRunning, Health, Link, Outcome, State, StopCause, StopHow, StopThen,
+    Abort, Command, Failure, FoundRunning, Health, Link, NativeOwner, Outcome, State, StopCause, StopHow,
+    StopThen,
 };
 use fieldbeat::sim::{FaultPlan, WorldOptions};
 use fieldbeat::time::{MS, US};
@@ -413,15 +414,27 @@ fn storm(subject: &'static dyn Subject, seed: u64, proposals: Option<u64>) -> St
         };
         m.faults(index, plan);
     }
+    let mut natives: Vec<_> = (0..3).map(|index| subject.native(m.sim.axis(index))).collect();
     for cycle in 0..3_000_u64 {
+        if cycle % 5 == 0 {
+            natives.iter_mut().for_each(|write| write(cycle as u16));
+        }
         if cycle % 1_000 == 700 {
             m.world().delay_next_wake(3 * MS + 100 * US);
         }
         let index = (cycle / 50 % 3) as usize;
         if cycle % 50 == 0 {
             let motion = if m.can.positions { m.by(index, 0.05) } else { m.go(index) };
-            let commands = [Command::Reset, Command::ResetFault, Command::Enable, Command::Home, motion];
-            let command = commands[(cycle / 150 % 5) as usize];
+            let commands = [
+                Command::Reset,
+                Command::ResetFault,
+                Command::Enable,
+                Command::Home,
+                motion,
+                Command::Native(NativeOwner::Master),
+                Command::Native(NativeOwner::Application),
+            ];
+            let command = commands[(cycle / 150 % 7) as usize];
             // One that the drive cannot do is refused at once.
             if command != Command::Home || m.can.home {
                 m.post(index, command);

@@ -22,6 +22,8 @@ use fieldbeat_ethercat::wire::frame::{Command, FrameError, datagrams};
 use fieldbeat_ethercat::wire::registers::{AlState, AlStatus};
 use fieldbeat_ethercat::wire::sdo::AbortCode;
 
+use fieldbeat::Axis;
+use fieldbeat::bus::ethercat;
 use slaves::{Fitted, Slaves};
 
 use crate::conformance::line::PERIOD;
@@ -204,6 +206,17 @@ impl Subject for EtherCat {
         };
         let reply = [&reply[..], &now.0.to_le_bytes()].concat();
         Some((request.to_vec(), if there { reply } else { Vec::new() }))
+    }
+
+    fn native(&self, axis: &mut Axis) -> Box<dyn FnMut(u16)> {
+        let mut native = axis.native::<ethercat::Native>().expect("it was not taken");
+        Box::new(move |number| {
+            // Halt, which means nothing without power.
+            let control = i64::from(number % 2) << 8;
+            if let Some(output) = native.output(&[(Object::new(0x6040, 0), control)]) {
+                let _ = native.write(output);
+            }
+        })
     }
 
     fn said(&self, before: Option<Said>, request: &[u8], reply: &[u8]) -> Option<Said> {

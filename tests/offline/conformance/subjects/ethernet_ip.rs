@@ -3,9 +3,11 @@
 
 use std::net::{Ipv4Addr, SocketAddrV4};
 
+use fieldbeat::Axis;
 use fieldbeat::Time;
 use fieldbeat::axis::{AxisPlan, Profile, Unit, Units};
 use fieldbeat::bus::BusPlan;
+use fieldbeat::bus::ethernet_ip;
 use fieldbeat::bus::ethernet_ip::{
     EthernetIpPlan, Homing, HomingMethod, Inputs, Layout, MoonsDrive, Originator, PORT, Version, command,
     status,
@@ -128,6 +130,15 @@ impl Subject for EthernetIp {
             Box::new(Faulty(MoonsSim::new(settings))) as Box<dyn SimDrive>
         };
         drives.iter().enumerate().map(simulated).collect::<Vec<_>>().into()
+    }
+
+    fn native(&self, axis: &mut Axis) -> Box<dyn FnMut(u16)> {
+        let mut native = axis.native::<ethernet_ip::Native>().expect("it was not taken");
+        Box::new(move |number| {
+            if let Some(output) = ethernet_ip::NativeOutput::host("SO", 0, number.into()) {
+                let _ = native.write(output);
+            }
+        })
     }
 
     fn said(&self, _before: Option<Said>, _request: &[u8], reply: &[u8]) -> Option<Said> {

@@ -2,8 +2,11 @@
 
 use std::net::{Ipv4Addr, SocketAddrV4};
 
+use fieldbeat::Axis;
 use fieldbeat::axis::{AxisPlan, Units};
 use fieldbeat::bus::BusPlan;
+use fieldbeat::bus::linudp;
+use fieldbeat::bus::linudp::motion::Acceleration;
 use fieldbeat::bus::linudp::motion::MotionCommand;
 use fieldbeat::bus::linudp::{
     COUNTS_PER_MM, ControlWord, DRIVE_PORT, LinUdpDrive, LinUdpPlan, MainState, ReplyTag,
@@ -11,6 +14,7 @@ use fieldbeat::bus::linudp::{
 use fieldbeat::sim::linudp::{LinMotSettings, LinMots};
 use fieldbeat::sim::{SimPlan, Simulated};
 use fieldbeat_linudp::upid;
+use fieldbeat_linudp::wire::RtcBlock;
 use fieldbeat_linudp::wire::{Refusal, Request, RequestDef, Response, ResponseDef, RtcCommand};
 
 use crate::conformance::subject::{Calls, Can, Drive, SOON, Said, Subject};
@@ -92,6 +96,16 @@ impl Subject for LinUdp {
             ..LinMotSettings::new(address(index))
         };
         SimPlan::from(LinMots(drives.iter().enumerate().map(settings).collect())).build()
+    }
+
+    fn native(&self, axis: &mut Axis) -> Box<dyn FnMut(u16)> {
+        let mut native = axis.native::<linudp::Native>().expect("it was not taken");
+        Box::new(move |number| {
+            let config = RtcBlock { tag: 0, code: 0, words: [number; 3] };
+            let motion =
+                number.is_multiple_of(3).then(|| MotionCommand::vai_stop(Acceleration(number.into())));
+            let _ = native.write(linudp::NativeOutput { control: None, motion, config: Some(config) });
+        })
     }
 
     fn said(&self, _before: Option<Said>, _request: &[u8], reply: &[u8]) -> Option<Said> {

@@ -3,8 +3,10 @@
 
 use std::net::{Ipv4Addr, SocketAddrV4};
 
+use fieldbeat::Axis;
 use fieldbeat::axis::{AxisPlan, Profile, Unit, Units};
 use fieldbeat::bus::BusPlan;
+use fieldbeat::bus::modbus;
 use fieldbeat::bus::modbus::{
     Addressing, ControlWord, ModbusPlan, PORT, Parameter, StatusWord, UnidriveDrive, Via, Watchdog, Width,
 };
@@ -130,6 +132,14 @@ impl Subject for Modbus {
             ..UnidriveSettings::new(address(index))
         };
         SimPlan::from(Unidrives(drives.iter().enumerate().map(settings).collect())).build()
+    }
+
+    fn native(&self, axis: &mut Axis) -> Box<dyn FnMut(u16)> {
+        let mut native = axis.native::<modbus::Native>().expect("it was not taken");
+        Box::new(move |number| {
+            let reference = i32::from(number % 100);
+            let _ = native.write(modbus::NativeOutput { control: modbus::ControlWord::IDLE, reference });
+        })
     }
 
     fn said(&self, before: Option<Said>, request: &[u8], reply: &[u8]) -> Option<Said> {

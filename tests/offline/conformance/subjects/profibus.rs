@@ -2,8 +2,10 @@
 
 use std::any::Any;
 
+use fieldbeat::Axis;
 use fieldbeat::axis::{AxisPlan, Profile, Unit, Units};
 use fieldbeat::bus::BusPlan;
+use fieldbeat::bus::profibus;
 use fieldbeat::bus::profibus::{DriveProfile, LenzeDrive, Numbers, ParameterPath, ProfibusPlan, Watchdog};
 use fieldbeat::sim::profibus::{LenzeSim, ProfibusSegment};
 use fieldbeat::sim::{SimPlan, SimSerial, Simulated};
@@ -129,6 +131,15 @@ impl Subject for Profibus {
             settings.running = drive.running.then_some(240.0);
         }
         SimPlan::from(segment).build()
+    }
+
+    fn native(&self, axis: &mut Axis) -> Box<dyn FnMut(u16)> {
+        let mut native = axis.native::<profibus::Native>().expect("it was not taken");
+        Box::new(move |number| {
+            let mut output = profibus::NativeOutput { mask: 1 << (number % 4), ..Default::default() };
+            output.words[1..].fill(number % 16);
+            let _ = native.write(output);
+        })
     }
 
     fn said(&self, before: Option<Said>, request: &[u8], reply: &[u8]) -> Option<Said> {

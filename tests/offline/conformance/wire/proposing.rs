@@ -21,13 +21,11 @@ pub struct Proposing {
     bus: Box<dyn Bus>,
     random: Rng,
     serial: u64,
-    /// For which send something is built, as the loop said it last.
-    cycle: Option<Cycle>,
 }
 
 impl Proposing {
     pub fn new(bus: Box<dyn Bus>, seed: u64) -> Proposing {
-        Proposing { bus, random: Rng::with_seed(seed), serial: PROPOSED, cycle: None }
+        Proposing { bus, random: Rng::with_seed(seed), serial: PROPOSED }
     }
 
     fn intent<T>(&mut self, value: T, before: Intent<T>) -> Intent<T> {
@@ -78,9 +76,11 @@ impl Proposing {
             setpoint,
         }
     }
+}
 
+impl Bus for Proposing {
     /// Builds something else, some times, and then what is desired.
-    fn propose(&mut self, cycle: &Cycle, slots: &mut [Slot]) {
+    fn prepare(&mut self, cycle: &Cycle, slots: &mut [Slot]) {
         let desired: Vec<Desired> = slots.iter().map(|slot| slot.desired).collect();
         for _ in 0..self.random.u8(..3) {
             for (slot, desired) in slots.iter_mut().zip(&desired) {
@@ -94,27 +94,12 @@ impl Proposing {
         }
         self.bus.prepare(cycle, slots);
     }
-}
-
-impl Bus for Proposing {
-    fn prepare(&mut self, cycle: &Cycle, slots: &mut [Slot]) {
-        self.propose(cycle, slots);
-        self.cycle = Some(*cycle);
-    }
-
-    fn send(&mut self, cycle: &Cycle, slots: &mut [Slot]) {
-        if let Some(built_for) = self.cycle.take()
-            && self.random.bool()
-        {
-            self.propose(&built_for, slots);
-        }
-        self.bus.send(cycle, slots);
-    }
 
     crate::forward! { this => this.bus;
         fn name(&self) -> &str;
         fn memory(&self, regions: &mut Regions);
         fn fd(&self) -> Option<RawFd>;
+        fn send(&mut self, cycle: &Cycle, slots: &mut [Slot]);
         fn receive(&mut self, cycle: &Cycle, slots: &mut [Slot]);
         fn poll_at(&self) -> Option<Time>;
         fn poll(&mut self, cycle: &Cycle, now: Time, slots: &mut [Slot]);
