@@ -247,14 +247,14 @@ impl Bus for EthernetIpBus {
             let leaves = slot.due && station.is_built();
             self.outbox.post(index, leaves);
             if slot.due && !leaves {
-                station.unsent(slot);
+                slot.unsent();
             }
         }
         self.net.send(&mut self.outbox);
         for (index, (station, slot)) in self.stations.iter_mut().zip(slots.iter_mut()).enumerate() {
             match self.outbox.sent(index) {
                 Sent::At(at) => station.sent(at, slot),
-                Sent::Failed(_) | Sent::Posted => station.unsent(slot),
+                Sent::Failed(_) | Sent::Posted => slot.unsent(),
                 Sent::Idle => {}
             }
         }

@@ -319,12 +319,6 @@ impl Station {
         self.profile.sent(&mut self.native);
     }
 
-    /// There is no connection, or the operating system refused to send.
-    pub(super) fn unsent(&mut self, slot: &mut Slot) {
-        slot.counters.unsent += 1;
-        slot.exchange = Exchange::Unsent;
-    }
-
     /// A packet on the connection of this drive.
     #[inline]
     pub fn take(&mut self, at: Time, packet: &Packet<'_>, slot: &mut Slot) {

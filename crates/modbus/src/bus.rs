@@ -126,14 +126,14 @@ impl ModbusBus {
         }
         let bytes = station.to_send();
         if result.is_err() || bytes.is_empty() {
-            station.unsent(slot);
+            slot.unsent();
             return result;
         }
         match net.send(index, bytes) {
-            Ok((_, 0)) => station.unsent(slot),
+            Ok((_, 0)) => slot.unsent(),
             Ok((at, count)) => station.sent(at, count, cycle, slot),
             Err(broken) => {
-                station.unsent(slot);
+                slot.unsent();
                 return Err(broken);
             }
         }

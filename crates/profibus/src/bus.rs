@@ -191,7 +191,7 @@ impl Bus for ProfibusBus {
         self.look(slots);
         self.watchful = self.watchful.saturating_sub(1);
         let up = self.line.is_up();
-        for (index, (station, slot)) in self.stations.iter_mut().zip(slots.iter_mut()).enumerate() {
+        for (index, slot) in slots.iter_mut().enumerate() {
             // One that is queued stays so: here it is made sure of, after a panic in its turn for example.
             let waits = matches!(slot.exchange, Exchange::Idle | Exchange::Missed | Exchange::Queued);
             if !slot.due || !waits {
@@ -201,7 +201,7 @@ impl Bus for ProfibusBus {
                 slot.exchange = Exchange::Queued;
                 self.queue.push(index as u8);
             } else {
-                station.unsent(slot);
+                slot.unsent();
             }
         }
         self.go_on(cycle, cycle.grid, slots);

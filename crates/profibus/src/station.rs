@@ -349,10 +349,9 @@ impl Station {
     pub fn sent(&mut self, at: Time, reply_by: Time, slot: &mut Slot) {
         if self.sending == Sending::StartUp {
             Own::StartUps.count(&mut slot.counters);
-            return self.unsent(slot);
+            return slot.unsent();
         }
-        slot.counters.sent += 1;
-        slot.exchange = Exchange::Owed { sent_at: at, reply_by, awaited: self.slow & SLOW < AWAITED };
+        slot.owe(at, reply_by, self.slow & SLOW < AWAITED);
         if self.sending != Sending::DataExchange {
             return self.sent_other();
         }
@@ -372,12 +371,6 @@ impl Station {
         }
     }
 
-    /// Its turn was none: nothing could be sent, or what was sent is no exchange.
-    pub(super) fn unsent(&mut self, slot: &mut Slot) {
-        slot.counters.unsent += 1;
-        slot.exchange = Exchange::Unsent;
-    }
-
     /// Its turn is to let the drive go: unlocked, it is any master's. False: it is not in Data_Exchange.
     pub(super) fn unlocks(&mut self) -> bool {
         self.sending = Sending::Unlock;
@@ -392,9 +385,9 @@ impl Station {
     /// The port is gone, or the wire: it begins with a diagnosis, without a count.
     pub(super) fn cut_off(&mut self, slot: &mut Slot) {
         self.count = FIRST;
-        self.absent(slot);
+        slot.absent();
         if slot.exchange == Exchange::Queued {
-            self.unsent(slot);
+            slot.unsent();
         }
         if self.start_up.is_over() {
             self.leave(Note::None, slot);

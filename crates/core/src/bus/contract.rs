@@ -304,6 +304,35 @@ pub struct Slot {
 }
 
 impl Slot {
+    /// Opens the exchange of a request that was sent.
+    #[inline]
+    pub fn owe(&mut self, sent_at: Time, reply_by: Time, awaited: bool) {
+        self.counters.sent += 1;
+        self.exchange = Exchange::Owed { sent_at, reply_by, awaited };
+    }
+
+    /// The request could not be sent.
+    pub fn unsent(&mut self) {
+        self.counters.unsent += 1;
+        self.exchange = Exchange::Unsent;
+    }
+
+    /// The reply to the open exchange was taken in. Returns when that was sent; `None`: none is open.
+    #[inline]
+    pub fn answer(&mut self, at: Time, suspect: bool) -> Option<Time> {
+        let Exchange::Owed { sent_at, .. } = self.exchange else { return None };
+        self.exchange = Exchange::Answered { sent_at, at, suspect };
+        self.counters.answered += 1;
+        Some(sent_at)
+    }
+
+    /// The open exchange has no reply.
+    pub fn absent(&mut self) {
+        if let Exchange::Owed { sent_at, .. } = self.exchange {
+            self.exchange = Exchange::Absent { sent_at };
+        }
+    }
+
     /// When the request of the newest exchange of an earlier cycle that was answered in this one was sent.
     #[inline]
     pub fn earlier_answered(&self) -> Option<Time> {

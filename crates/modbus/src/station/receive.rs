@@ -12,7 +12,7 @@ use crate::pace::Pace;
 use crate::parameter::{DRIVE_UNIT, Parameter, Width};
 use crate::setup::Purpose;
 use crate::wire::{ExceptionCode, Header, Registers, Response, ResponseError, frame};
-use fieldbeat_core::bus::{Exchange, Slot};
+use fieldbeat_core::bus::Slot;
 use fieldbeat_core::time::Time;
 
 const GARBAGE: Why = "the received bytes are not Modbus";
@@ -348,13 +348,9 @@ impl Station {
 #[inline]
 fn close(pace: &mut Pace, at: Time, slot: &mut Slot) -> bool {
     pace.answered(at);
-    let Exchange::Owed { sent_at, .. } = slot.exchange else {
-        slot.counters.late += 1;
-        return false;
-    };
-    slot.exchange = Exchange::Answered { sent_at, at, suspect: false };
-    slot.counters.answered += 1;
-    true
+    let is_open = slot.answer(at, false).is_some();
+    slot.counters.late += u64::from(!is_open);
+    is_open
 }
 
 /// Takes the values of a block into the image.

@@ -355,9 +355,8 @@ impl Station {
         }
         self.pace.sent(cycle);
         let reply_by = cycle.deadline + self.beyond_ns;
-        slot.counters.sent += 1;
         slot.counters.own[Own::NoReadWrite as usize] = self.functions.given_up();
-        slot.exchange = Exchange::Owed { sent_at: at, reply_by, awaited: self.pace.awaited() };
+        slot.owe(at, reply_by, self.pace.awaited());
     }
 
     /// These blocks went out.
@@ -384,11 +383,5 @@ impl Station {
             slot.gone.grid = Some(self.grid);
             self.profile.sent(&mut self.native);
         }
-    }
-
-    /// Nothing could be sent.
-    pub fn unsent(&mut self, slot: &mut Slot) {
-        slot.counters.unsent += 1;
-        slot.exchange = Exchange::Unsent;
     }
 }

@@ -107,7 +107,7 @@ impl ProfibusBus {
         }
         let may_be_acyclic = self.acyclic_after == 0;
         if !self.line.request(index, |out| station.request(slot, may_be_acyclic, out)) {
-            station.unsent(slot);
+            slot.unsent();
             return true;
         }
         match self.net.send(0, self.line.to_send()) {
@@ -130,11 +130,11 @@ impl ProfibusBus {
                 false
             }
             Ok(_) => {
-                station.unsent(slot);
+                slot.unsent();
                 true
             }
             Err(broken) => {
-                station.unsent(slot);
+                slot.unsent();
                 self.broken(broken, slots);
                 false
             }

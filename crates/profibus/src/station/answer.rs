@@ -9,7 +9,7 @@ use crate::profile::Inputs;
 use crate::start_up::Step;
 use crate::wire::dp::{Diagnosis, DiagnosisStatus};
 use crate::wire::fc::NOT_ACTIVE;
-use fieldbeat_core::bus::{Exchange, Slot};
+use fieldbeat_core::bus::Slot;
 use fieldbeat_core::time::Time;
 
 /// So many refusals (UE, RR) in a row, behind which its diagnosis shows nothing, end Data_Exchange: the drive is
@@ -44,13 +44,11 @@ impl Station {
     /// Its exchange is answered; false: it is over for the loop.
     #[inline]
     fn close(&mut self, at: Time, slot: &mut Slot) -> bool {
-        let Exchange::Owed { sent_at, .. } = slot.exchange else {
+        if slot.answer(at, false).is_none() {
             slot.counters.late += 1;
             return false;
-        };
+        }
         self.slow = if at <= self.window_end { 0 } else { self.slow.wrapping_add(1) };
-        slot.exchange = Exchange::Answered { sent_at, at, suspect: false };
-        slot.counters.answered += 1;
         true
     }
 
@@ -95,12 +93,12 @@ impl Station {
                 // which takes the next turn.
                 Own::Refused.count(&mut slot.counters);
                 self.refused += 1;
-                self.absent(slot);
+                slot.absent();
                 self.diagnosis_due = self.sending == Sending::DataExchange;
             }
             (Sending::DataExchange | Sending::Diagnosis, answer) => {
                 // It does not exchange data any more.
-                self.absent(slot);
+                slot.absent();
                 let why = match answer {
                     Answer::Refused(function) => {
                         Own::Refused.count(&mut slot.counters);
@@ -110,12 +108,6 @@ impl Station {
                 };
                 self.leave(why, slot);
             }
-        }
-    }
-
-    pub(super) fn absent(&mut self, slot: &mut Slot) {
-        if let Exchange::Owed { sent_at, .. } = slot.exchange {
-            slot.exchange = Exchange::Absent { sent_at };
         }
     }
 
@@ -130,7 +122,7 @@ impl Station {
             Sending::DataExchange => self.acyclic.lost(Turn::DataExchange),
             Sending::Diagnosis | Sending::Unlock => {}
         }
-        self.absent(slot);
+        slot.absent();
     }
 
     /// The drive is not in Data_Exchange any more, for this reason: it starts up again.
