@@ -28,6 +28,4 @@ pub(crate) use stream::StreamCommand;
 pub use values::*;
 
 #[cfg(test)]
-mod golden;
-#[cfg(test)]
 mod tests;

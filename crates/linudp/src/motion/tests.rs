@@ -1,5 +1,7 @@
 //! The catalogue, streams, and any bytes.
 
+mod golden;
+
 use proptest::prelude::*;
 
 use super::*;

@@ -1,7 +1,7 @@
 //! One vector for each command, with offsets and types as the SG5 manual gives them: its constructor, and the block
 //! up to the last parameter, with count 5. No two bytes of a value are the same, so that a swapped byte is found.
 
-use super::*;
+use super::super::*;
 use fieldbeat_core::axis::RangeError;
 
 type M = MotionCommand;
