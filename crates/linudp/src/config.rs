@@ -1,6 +1,7 @@
 //! `protocol = "linudp-v2"`.
 
 pub mod curve;
+mod name;
 mod outline;
 pub mod table;
 mod tools;

@@ -8,29 +8,15 @@
 
 use thiserror::Error;
 
+use super::name;
+use super::wire::{Fill, Take};
+
 /// Bytes of the info block.
 pub const INFO_SIZE: usize = 70;
 /// Bytes of one setpoint.
 pub const SETPOINT_SIZE: usize = 4;
 /// Bytes of the name; it may fill all of them.
 pub const NAME_SIZE: usize = 22;
-
-/// Offsets in the info block.
-mod field {
-    use std::ops::Range;
-
-    pub const DATA_OFFSET: usize = 0;
-    pub const KIND: usize = 2;
-    pub const SETPOINTS: usize = 4;
-    pub const SETPOINT_SIZE: usize = 6;
-    pub const NAME: Range<usize> = 8..30;
-    pub const ID: usize = 30;
-    pub const X_LENGTH: usize = 32;
-    pub const X_DIMENSION: usize = 36;
-    pub const Y_DIMENSION: usize = 38;
-    pub const WIZARD: usize = 40;
-    pub const WIZARD_PARAMETERS: usize = 42;
-}
 
 /// A curve. [`check`](Curve::check) says whether a drive would accept it.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -125,20 +111,12 @@ fieldbeat_core::debug_as_display!(CurveError);
 impl Curve {
     /// The bytes of a name, at most 22 printable ASCII characters.
     pub fn name_bytes(name: &str) -> Result<[u8; NAME_SIZE], CurveError> {
-        let printable = name.bytes().all(|byte| matches!(byte, b' '..=b'~'));
-        if name.len() > NAME_SIZE || !printable {
-            return Err(CurveError::Name(name.to_owned()));
-        }
-        let mut bytes = [0; NAME_SIZE];
-        bytes[..name.len()].copy_from_slice(name.as_bytes());
-        Ok(bytes)
+        name::bytes(name, NAME_SIZE).ok_or_else(|| CurveError::Name(name.to_owned()))
     }
 
     /// Its name; `None` if its bytes are anything else than printable ASCII followed by zeros.
     pub fn name(&self) -> Option<&str> {
-        let length = self.name.iter().position(|byte| *byte == 0).unwrap_or(NAME_SIZE);
-        let name = std::str::from_utf8(&self.name[..length]).ok()?;
-        Curve::name_bytes(name).is_ok_and(|bytes| bytes == self.name).then_some(name)
+        name::text(&self.name, NAME_SIZE)
     }
 
     /// Whether a drive would accept it.
@@ -156,70 +134,48 @@ impl Curve {
     pub fn encode(&self) -> Result<([u8; INFO_SIZE], Vec<u8>), CurveError> {
         self.check()?;
         let mut info = [0; INFO_SIZE];
-        let mut put = |at: usize, bytes: &[u8]| {
-            for (place, byte) in info.iter_mut().skip(at).zip(bytes) {
-                *place = *byte;
-            }
-        };
-        let words = [
-            (field::DATA_OFFSET, INFO_SIZE as u16),
-            (field::KIND, self.kind.code()),
-            // Checked above to fit.
-            (field::SETPOINTS, self.setpoints.len() as u16),
-            (field::SETPOINT_SIZE, SETPOINT_SIZE as u16),
-            (field::ID, self.id),
-            (field::X_DIMENSION, self.x_dimension.0),
-            (field::Y_DIMENSION, self.y_dimension.0),
-            (field::WIZARD, self.wizard),
-        ];
-        for (at, word) in words {
-            put(at, &word.to_le_bytes());
-        }
-        put(field::NAME.start, &self.name);
-        put(field::X_LENGTH, &self.x_length.to_le_bytes());
-        for (index, parameter) in self.wizard_parameters.iter().enumerate() {
-            put(field::WIZARD_PARAMETERS + 4 * index, &parameter.to_le_bytes());
-        }
+        let mut out = Fill(&mut info);
+        // The count of the setpoints was checked to fit.
+        let head = [INFO_SIZE as u16, self.kind.code(), self.setpoints.len() as u16, SETPOINT_SIZE as u16];
+        head.iter().for_each(|word| out.put(word.to_le_bytes()));
+        out.put(self.name);
+        out.put(self.id.to_le_bytes());
+        out.put(self.x_length.to_le_bytes());
+        let tail = [self.x_dimension.0, self.y_dimension.0, self.wizard];
+        tail.iter().for_each(|word| out.put(word.to_le_bytes()));
+        self.wizard_parameters.iter().for_each(|parameter| out.put(parameter.to_le_bytes()));
         Ok((info, self.setpoints.iter().flat_map(|setpoint| setpoint.to_le_bytes()).collect()))
     }
 
     /// The curve of an info block and its setpoints. Bytes after the 70th are padding of the transfer.
     pub fn decode(info: &[u8], data: &[u8]) -> Result<Curve, CurveError> {
-        let Some(info) = info.first_chunk::<INFO_SIZE>() else {
+        if info.len() < INFO_SIZE {
             return Err(CurveError::InfoSize(info.len()));
-        };
-        let word = |at: usize| u16::from_le_bytes([info[at], info[at + 1]]);
-        let long = |at: usize| u32::from(word(at)) | u32::from(word(at + 2)) << 16;
-        if usize::from(word(field::DATA_OFFSET)) != INFO_SIZE {
-            return Err(CurveError::DataOffset(word(field::DATA_OFFSET)));
         }
-        let kind = match word(field::KIND) {
-            0x0003 => CurveKind::Time,
-            0x0103 => CurveKind::Cam,
-            other => return Err(CurveError::Kind(other)),
-        };
-        if usize::from(word(field::SETPOINT_SIZE)) != SETPOINT_SIZE {
-            return Err(CurveError::SetpointSize(word(field::SETPOINT_SIZE)));
+        let mut info = Take(info);
+        let [data_offset, kind, setpoints, setpoint_size] = std::array::from_fn(|_| info.word());
+        if usize::from(data_offset) != INFO_SIZE {
+            return Err(CurveError::DataOffset(data_offset));
         }
-        let promised = usize::from(word(field::SETPOINTS)) * SETPOINT_SIZE;
+        let known = [CurveKind::Time, CurveKind::Cam].into_iter().find(|known| known.code() == kind);
+        let kind = known.ok_or(CurveError::Kind(kind))?;
+        if usize::from(setpoint_size) != SETPOINT_SIZE {
+            return Err(CurveError::SetpointSize(setpoint_size));
+        }
+        let promised = usize::from(setpoints) * SETPOINT_SIZE;
         if data.len() != promised {
             return Err(CurveError::DataSize { found: data.len(), promised });
         }
-        let mut name = [0; NAME_SIZE];
-        name.copy_from_slice(&info[field::NAME]);
-        let mut wizard_parameters = [0; 7];
-        for (index, parameter) in wizard_parameters.iter_mut().enumerate() {
-            *parameter = long(field::WIZARD_PARAMETERS + 4 * index);
-        }
+        // In the order of the wire.
         let curve = Curve {
-            id: word(field::ID),
             kind,
-            name,
-            x_length: long(field::X_LENGTH),
-            x_dimension: Dimension(word(field::X_DIMENSION)),
-            y_dimension: Dimension(word(field::Y_DIMENSION)),
-            wizard: word(field::WIZARD),
-            wizard_parameters,
+            name: info.bytes(),
+            id: info.word(),
+            x_length: info.long(),
+            x_dimension: Dimension(info.word()),
+            y_dimension: Dimension(info.word()),
+            wizard: info.word(),
+            wizard_parameters: std::array::from_fn(|_| info.long()),
             setpoints: data.as_chunks().0.iter().map(|bytes| i32::from_le_bytes(*bytes)).collect(),
         };
         curve.check()?;

@@ -6,6 +6,7 @@
 //! | `motion` | motion commands: the catalogue, constructors, units |
 //! | `curve` | time curves and encoder cams |
 //! | `table` | the drive's command table |
+//! | `name` | names of curves and of entries of the table, as the drive holds them |
 //! | `station` | the master's view of one drive: identity of replies, feedback |
 //! | `profile` | what is desired as blocks of a request, and what replies prove |
 //! | `channel` | the motion command interface: counts and their echo |
@@ -36,6 +37,7 @@ pub mod diagnosis;
 mod fields;
 mod last;
 pub mod motion;
+mod name;
 pub mod native;
 pub mod notation;
 mod other;

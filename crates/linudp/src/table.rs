@@ -12,6 +12,8 @@ use std::collections::btree_map::Iter;
 use thiserror::Error;
 
 use super::motion::{CommandInfo, EntryId, Kind, MotionCommand};
+use super::name;
+use super::wire::{Fill, Take};
 
 /// Bytes of an entry.
 pub const ENTRY_SIZE: usize = 64;
@@ -73,20 +75,12 @@ impl Entry {
 
     /// The bytes of a name, at most 15 printable ASCII characters.
     pub fn name_bytes(name: &str) -> Result<[u8; NAME_SIZE], EntryError> {
-        let printable = name.bytes().all(|byte| matches!(byte, b' '..=b'~'));
-        if name.len() >= NAME_SIZE || !printable {
-            return Err(EntryError::Name(name.to_owned()));
-        }
-        let mut bytes = [0; NAME_SIZE];
-        bytes[..name.len()].copy_from_slice(name.as_bytes());
-        Ok(bytes)
+        name::bytes(name, NAME_SIZE - 1).ok_or_else(|| EntryError::Name(name.to_owned()))
     }
 
     /// Its name; `None` if its bytes are anything else than printable ASCII followed by zeros.
     pub fn name(&self) -> Option<&str> {
-        let length = self.name.iter().position(|byte| *byte == 0)?;
-        let name = std::str::from_utf8(&self.name[..length]).ok()?;
-        Entry::name_bytes(name).is_ok_and(|bytes| bytes == self.name).then_some(name)
+        name::text(&self.name, NAME_SIZE - 1)
     }
 
     /// Its motion command, without two parameter bytes that no command uses.
@@ -107,33 +101,32 @@ impl Entry {
     /// The bytes of the transfer.
     pub fn encode(&self) -> [u8; ENTRY_SIZE] {
         let mut bytes = [0; ENTRY_SIZE];
-        bytes[0..2].copy_from_slice(&VERSION.to_le_bytes());
-        bytes[2..4].copy_from_slice(&self.next.unwrap_or(NO_ENTRY).to_le_bytes());
-        bytes[4..6].copy_from_slice(&self.header.to_le_bytes());
-        bytes[6..38].copy_from_slice(&self.parameters);
-        bytes[38..54].copy_from_slice(&self.name);
-        bytes[54..64].copy_from_slice(&self.reserved);
+        let mut out = Fill(&mut bytes);
+        let words = [VERSION, self.next.unwrap_or(NO_ENTRY), self.header];
+        words.iter().for_each(|word| out.put(word.to_le_bytes()));
+        out.put(self.parameters);
+        out.put(self.name);
+        out.put(self.reserved);
         bytes
     }
 
     /// The entry of these bytes.
     pub fn decode(bytes: &[u8]) -> Result<Entry, EntryError> {
-        let bytes: &[u8; ENTRY_SIZE] = bytes.try_into().map_err(|_| EntryError::Size(bytes.len()))?;
-        let word = |at: usize| u16::from_le_bytes([bytes[at], bytes[at + 1]]);
-        if word(0) != VERSION {
-            return Err(EntryError::Version(word(0)));
+        if bytes.len() != ENTRY_SIZE {
+            return Err(EntryError::Size(bytes.len()));
         }
-        let mut entry = Entry {
-            next: Some(word(2)).filter(|next| *next != NO_ENTRY),
-            header: word(4),
-            parameters: [0; PARAMETERS_SIZE],
-            name: [0; NAME_SIZE],
-            reserved: [0; RESERVED_SIZE],
-        };
-        entry.parameters.copy_from_slice(&bytes[6..38]);
-        entry.name.copy_from_slice(&bytes[38..54]);
-        entry.reserved.copy_from_slice(&bytes[54..64]);
-        Ok(entry)
+        let mut bytes = Take(bytes);
+        match bytes.word() {
+            // In the order of the wire.
+            VERSION => Ok(Entry {
+                next: Some(bytes.word()).filter(|next| *next != NO_ENTRY),
+                header: bytes.word(),
+                parameters: bytes.bytes(),
+                name: bytes.bytes(),
+                reserved: bytes.bytes(),
+            }),
+            other => Err(EntryError::Version(other)),
+        }
     }
 }
 

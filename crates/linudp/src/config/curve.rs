@@ -8,7 +8,8 @@
 use std::fmt::Write;
 use std::path::Path;
 
-use crate::curve::{Curve, CurveError, CurveKind, Dimension, NAME_SIZE};
+use super::name;
+use crate::curve::{Curve, CurveError, CurveKind, Dimension};
 use fieldbeat_keys::error::ConfigErrors;
 use fieldbeat_keys::file::{self, whole_file};
 use fieldbeat_keys::form::Form;
@@ -62,12 +63,7 @@ pub fn to_text(curve: &Curve) -> Result<String, CurveError> {
     let ((x_name, x_decimals), (y_name, y_decimals)) =
         (x_column(curve.x_dimension), y_column(curve.y_dimension));
     let mut text = format!("# id = {}\n", curve.id);
-    match curve.name() {
-        Some("") => {}
-        // Printable ASCII needs no other escapes than a TOML string has.
-        Some(name) => _ = writeln!(text, "# name = {name:?}"),
-        None => _ = writeln!(text, "# name_bytes = {:?}", curve.name),
-    }
+    name::write(&mut text, "# ", curve.name(), &curve.name);
     let length = value::decimal(curve.x_length.into(), x_decimals);
     let _ = writeln!(text, "# kind = \"{word}\"\n# length = {length}");
     if curve.x_dimension != usual {
@@ -122,11 +118,7 @@ fn curve(page: &Page<'_>, mut head: Table<'_>, columns: (usize, &str), rows: &[(
     head.require("kind", "\"time\" or \"cam\"");
     head.require("length", "from the first setpoint to the last, in the unit of the first column");
     let hint = "at most 22 printable ASCII characters";
-    let name = head.text("name", None, hint, |name| Curve::name_bytes(name).ok());
-    let name_bytes = head.bytes::<NAME_SIZE>("name_bytes");
-    if head.gives("name") && head.gives("name_bytes") {
-        head.fault("name_bytes", "cannot be used together with name; keep one");
-    }
+    let name = name::read(&mut head, hint, |name| Curve::name_bytes(name).ok());
     let kind = head.word("kind", &[("time", CurveKind::Time), ("cam", CurveKind::Cam)]);
     let x_dimension = dimension(&mut head, "x_dimension").or(kind.map(|kind| usual(kind).0));
     let y_dimension = dimension(&mut head, "y_dimension").unwrap_or(Dimension::POSITION);
@@ -136,7 +128,7 @@ fn curve(page: &Page<'_>, mut head: Table<'_>, columns: (usize, &str), rows: &[(
     let mut curve = Curve {
         id: head.integer("id", 1..=100, "curves have the ids 1 to 100").unwrap_or_default(),
         kind: kind.unwrap_or(CurveKind::Time),
-        name: name.or(name_bytes).unwrap_or_default(),
+        name,
         x_length: x_length.unwrap_or_default(),
         x_dimension: x_dimension.unwrap_or(Dimension::TIME),
         y_dimension,

@@ -7,8 +7,9 @@ use std::collections::HashMap;
 use std::fmt::Write;
 use std::path::Path;
 
+use super::name;
 use crate::motion::{CATALOGUE, CommandInfo, EntryId, Field, Kind};
-use crate::table::{self, Entry, NAME_SIZE, PARAMETERS_SIZE, RESERVED_SIZE};
+use crate::table::{self, Entry, PARAMETERS_SIZE, RESERVED_SIZE};
 use fieldbeat_keys::error::ConfigErrors;
 use fieldbeat_keys::file;
 use fieldbeat_keys::form::Form;
@@ -52,12 +53,7 @@ pub fn to_text(table: &table::Table) -> String {
 /// A line each; writing into a `String` cannot fail.
 fn write_entry(text: &mut String, id: EntryId, entry: &Entry) {
     let _ = writeln!(text, "[[entry]]\nid = {}", id.wire());
-    match entry.name() {
-        Some("") => {}
-        // Printable ASCII needs no other escapes than a TOML string has.
-        Some(name) => _ = writeln!(text, "name = {name:?}"),
-        None => _ = writeln!(text, "name_bytes = {:?}", entry.name),
-    }
+    name::write(text, "", entry.name(), &entry.name);
     match CommandInfo::of(entry.header >> 4).filter(|info| is_sound(info, entry)) {
         Some(info) => {
             let _ = writeln!(text, "command = \"{}\"", info.name);
@@ -176,11 +172,7 @@ fn command(table: &mut Table<'_>) -> Option<Command> {
 
 fn entry(table: &mut Table<'_>, command: Command, incomplete: bool) -> Option<Entry> {
     let hint = "at most 15 printable ASCII characters";
-    let name = table.text("name", None, hint, |name| Entry::name_bytes(name).ok());
-    let name_bytes = table.bytes::<NAME_SIZE>("name_bytes");
-    if table.gives("name") && table.gives("name_bytes") {
-        table.fault("name_bytes", "cannot be used together with name; keep one");
-    }
+    let name = name::read(table, hint, |name| Entry::name_bytes(name).ok());
     let count: u16 = table.integer("count", 0..=15, "the lowest 4 bits of the header").unwrap_or(0);
     let reserved = table.bytes::<RESERVED_SIZE>("reserved").unwrap_or_default();
     let next = match incomplete {
@@ -204,7 +196,6 @@ fn entry(table: &mut Table<'_>, command: Command, incomplete: bool) -> Option<En
             id
         }
     };
-    let name = name.or(name_bytes).unwrap_or_default();
     whole.then_some(Entry { next, header: id << 4 | count, parameters, name, reserved })
 }
 

@@ -129,15 +129,3 @@ pub(super) const fn kebab<const N: usize>(name: &str) -> [u8; N] {
     }
     kebab
 }
-
-/// An id is looked up by binary search.
-pub(super) const fn rises(catalogue: &[CommandInfo]) -> bool {
-    let mut index = 1;
-    while index < catalogue.len() {
-        if catalogue[index - 1].id >= catalogue[index].id {
-            return false;
-        }
-        index += 1;
-    }
-    true
-}

@@ -52,12 +52,8 @@ pub use response::{Front, Response, ResponseView};
 pub use rtc::{Refusal, RtcBlock, RtcCommand, RtcStatus};
 pub use words::{ControlWord, MainState, StateVar, StatusWord};
 
-/// Offsets in the telegram and in its blocks. The blocks themselves have no fixed offset.
+/// Bytes of the parts of a telegram. The blocks have no fixed offset.
 mod field {
-    use std::ops::Range;
-
-    pub const REQUEST_DEFINITION: Range<usize> = 0..4;
-    pub const RESPONSE_DEFINITION: Range<usize> = 4..8;
     /// Both definitions; the first block follows.
     pub const HEADER: usize = 8;
 
@@ -139,15 +135,10 @@ impl RequestDef {
 
     /// Bytes of a whole request, both definitions included. Reserved bits add nothing.
     pub const fn size(self) -> usize {
-        self.config_at() + if self.contains(RequestDef::CONFIG) { field::CONFIG } else { 0 }
-    }
-
-    const fn motion_at(self) -> usize {
-        field::HEADER + if self.contains(RequestDef::CONTROL) { field::CONTROL } else { 0 }
-    }
-
-    const fn config_at(self) -> usize {
-        self.motion_at() + if self.contains(RequestDef::MOTION) { field::MOTION } else { 0 }
+        let control = if self.contains(RequestDef::CONTROL) { field::CONTROL } else { 0 };
+        let motion = if self.contains(RequestDef::MOTION) { field::MOTION } else { 0 };
+        let config = if self.contains(RequestDef::CONFIG) { field::CONFIG } else { 0 };
+        field::HEADER + control + motion + config
     }
 }
 
@@ -230,11 +221,11 @@ impl MotionBlock {
 }
 
 /// Fills a slice from its front. Every length was checked before; excess bytes are left out.
-struct Fill<'a>(&'a mut [u8]);
+pub(super) struct Fill<'a>(pub(super) &'a mut [u8]);
 
 impl Fill<'_> {
     #[inline]
-    fn put<const N: usize>(&mut self, bytes: [u8; N]) {
+    pub(super) fn put<const N: usize>(&mut self, bytes: [u8; N]) {
         if let Some((head, rest)) = std::mem::take(&mut self.0).split_first_chunk_mut() {
             *head = bytes;
             self.0 = rest;
@@ -248,15 +239,31 @@ impl Fill<'_> {
     }
 }
 
+/// Takes from the front of a slice; the bytes that it does not have are 0.
+pub(super) struct Take<'a>(pub(super) &'a [u8]);
+
+impl Take<'_> {
+    pub(super) fn bytes<const N: usize>(&mut self) -> [u8; N] {
+        let bytes = std::array::from_fn(|at| self.0.get(at).copied().unwrap_or(0));
+        self.0 = self.0.get(N..).unwrap_or_default();
+        bytes
+    }
+
+    pub(super) fn word(&mut self) -> u16 {
+        u16::from_le_bytes(self.bytes())
+    }
+
+    pub(super) fn long(&mut self) -> u32 {
+        u32::from_le_bytes(self.bytes())
+    }
+}
+
 /// Both definitions, raw.
 fn definitions(bytes: &[u8]) -> Result<(u32, u32), ParseError> {
-    let Some(header) = bytes.first_chunk::<{ field::HEADER }>() else {
+    let Some([a, b, c, d, response @ ..]) = bytes.first_chunk::<{ field::HEADER }>() else {
         return Err(ParseError::TooShort { need: field::HEADER, have: bytes.len() });
     };
-    let mut words = [[0; 4]; 2];
-    words[0].copy_from_slice(&header[field::REQUEST_DEFINITION]);
-    words[1].copy_from_slice(&header[field::RESPONSE_DEFINITION]);
-    Ok((u32::from_le_bytes(words[0]), u32::from_le_bytes(words[1])))
+    Ok((u32::from_le_bytes([*a, *b, *c, *d]), u32::from_le_bytes(*response)))
 }
 
 #[cfg(test)]

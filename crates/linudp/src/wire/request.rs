@@ -1,7 +1,7 @@
 //! A request, master to drive.
 
 use super::{
-    ControlWord, Fill, MotionBlock, ParseError, RequestDef, ResponseDef, RtcBlock, definitions, field,
+    ControlWord, Fill, MotionBlock, ParseError, RequestDef, ResponseDef, RtcBlock, Take, definitions, field,
 };
 
 /// A request as a plain value. Its definition follows from the blocks it has.
@@ -38,20 +38,20 @@ impl Request {
         let has = |block| request.contains(block);
         // Both kinds of block that may be cut short need their first word.
         let need = match () {
-            () if has(RequestDef::CONFIG) => request.config_at() + 2,
-            () if has(RequestDef::MOTION) => request.motion_at() + 2,
+            () if has(RequestDef::CONFIG) => request.size() - (field::CONFIG - 2),
+            () if has(RequestDef::MOTION) => request.size() - (field::MOTION - 2),
             () => request.size(),
         };
         if bytes.len() < need {
             return Err(ParseError::TooShort { need, have: bytes.len() });
         }
-        let (control, motion) = (padded(bytes, field::HEADER), padded(bytes, request.motion_at()));
+        let mut blocks = Take(&bytes[field::HEADER..]);
         Ok(Request {
             reserved: RequestDef(request.0 & RequestDef::RESERVED.0),
             response_def: ResponseDef(response),
-            control: has(RequestDef::CONTROL).then(|| ControlWord(u16::from_le_bytes(control))),
-            motion: has(RequestDef::MOTION).then(|| MotionBlock::from_bytes(motion)),
-            config: has(RequestDef::CONFIG).then(|| RtcBlock::from_bytes(padded(bytes, request.config_at()))),
+            control: has(RequestDef::CONTROL).then(|| ControlWord(blocks.word())),
+            motion: has(RequestDef::MOTION).then(|| MotionBlock::from_bytes(blocks.bytes())),
+            config: has(RequestDef::CONFIG).then(|| RtcBlock::from_bytes(blocks.bytes())),
         })
     }
 
@@ -81,12 +81,4 @@ impl Request {
         }
         size
     }
-}
-
-/// `N` bytes from `at` on, those that the datagram does not have as 0.
-fn padded<const N: usize>(bytes: &[u8], at: usize) -> [u8; N] {
-    let mut block = [0; N];
-    let tail = bytes.get(at..).unwrap_or_default();
-    block.iter_mut().zip(tail).for_each(|(byte, sent)| *byte = *sent);
-    block
 }

@@ -61,10 +61,7 @@ impl<'a> ResponseView<'a> {
 
     #[inline]
     fn block<const N: usize>(&self, block: ResponseDef) -> Option<[u8; N]> {
-        if !self.response.contains(block) {
-            return None;
-        }
-        chunk(self.bytes, self.response.at(block))
+        self.response.contains(block).then(|| chunk(self.bytes, self.response.at(block)))?
     }
 
     /// Status word.
@@ -112,23 +109,17 @@ impl<'a> ResponseView<'a> {
     /// The monitoring channels 1 ... 4, raw: their sources are configured in the drive (UPIDs 20A8h-20ABh).
     #[inline]
     pub fn monitor(&self) -> Option<[u32; 4]> {
-        self.block::<16>(ResponseDef::MONITOR).map(|bytes| {
-            let mut channels = [0; 4];
-            for (channel, word) in channels.iter_mut().zip(bytes.as_chunks::<4>().0) {
-                *channel = u32::from_le_bytes(*word);
-            }
-            channels
-        })
+        let bytes = self.block::<16>(ResponseDef::MONITOR)?;
+        let (channels, _) = bytes.as_chunks();
+        Some(std::array::from_fn(|channel| u32::from_le_bytes(channels[channel])))
     }
 
     /// The answer on the real-time-config channel: present if the request carried a block, and if the datagram has
     /// it.
     #[inline]
     pub fn config(&self) -> Option<RtcBlock> {
-        if !self.request.contains(RequestDef::CONFIG) {
-            return None;
-        }
-        chunk(self.bytes, self.response.config_at()).map(RtcBlock::from_bytes)
+        let block = || chunk(self.bytes, self.response.config_at());
+        self.request.contains(RequestDef::CONFIG).then(block)?.map(RtcBlock::from_bytes)
     }
 }
 

@@ -292,39 +292,32 @@ pub enum Refusal {
 fieldbeat_core::debug_as_display!(Refusal);
 
 impl Refusal {
-    /// All that are known.
-    pub const ALL: [Refusal; 10] = [
-        Refusal::NoSuchUpid,
-        Refusal::WrongType,
-        Refusal::OutOfRange,
-        Refusal::AddressUsage,
-        Refusal::ListNotStarted,
-        Refusal::EndOfList,
-        Refusal::OddAddress,
-        Refusal::WrongSize,
-        Refusal::CurveDefinition,
-        Refusal::SoftwareRuns,
+    const CODES: [(u8, Refusal); 10] = [
+        (0xC0, Refusal::NoSuchUpid),
+        (0xC1, Refusal::WrongType),
+        (0xC2, Refusal::OutOfRange),
+        (0xC3, Refusal::AddressUsage),
+        (0xC5, Refusal::ListNotStarted),
+        (0xC6, Refusal::EndOfList),
+        (0xD0, Refusal::OddAddress),
+        (0xD1, Refusal::WrongSize),
+        (0xD4, Refusal::CurveDefinition),
+        (0xD7, Refusal::SoftwareRuns),
     ];
 
     /// The meaning of `code`, C0h or above.
     pub fn of(code: u8) -> Refusal {
-        Refusal::ALL.into_iter().find(|known| known.code() == code).unwrap_or(Refusal::Unlisted(code))
+        let known = Refusal::CODES.iter().find(|(known, _)| *known == code);
+        known.map_or(Refusal::Unlisted(code), |(_, refusal)| *refusal)
     }
 
     /// Its code.
-    pub const fn code(self) -> u8 {
+    pub fn code(self) -> u8 {
         match self {
-            Refusal::NoSuchUpid => 0xC0,
-            Refusal::WrongType => 0xC1,
-            Refusal::OutOfRange => 0xC2,
-            Refusal::AddressUsage => 0xC3,
-            Refusal::ListNotStarted => 0xC5,
-            Refusal::EndOfList => 0xC6,
-            Refusal::OddAddress => 0xD0,
-            Refusal::WrongSize => 0xD1,
-            Refusal::CurveDefinition => 0xD4,
-            Refusal::SoftwareRuns => 0xD7,
             Refusal::Unlisted(code) => code,
+            known => {
+                Refusal::CODES.iter().find(|(_, refusal)| *refusal == known).map_or(0, |(code, _)| *code)
+            }
         }
     }
 }
@@ -350,7 +343,7 @@ mod tests {
                     assert!(code >= 0xC0);
                     assert_eq!(refusal.code(), code);
                     let listed = !matches!(refusal, Refusal::Unlisted(_));
-                    assert_eq!(Refusal::ALL.contains(&refusal), listed);
+                    assert_eq!(Refusal::CODES.contains(&(code, refusal)), listed);
                     assert!(refusal.to_string().contains(&format!("{code:02X}h")), "{refusal}");
                 }
                 RtcStatus::Other(other) => assert!(other == code && code < 0xC0),
