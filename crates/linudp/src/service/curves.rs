@@ -1,7 +1,5 @@
 //! Curves: read, written, saved. They live in RAM until they are saved; a single one cannot be deleted.
 
-use std::ops::ControlFlow;
-
 use super::{Progress, Saved, ServiceError, Services, USUAL, Watcher, after, quiet};
 use crate::curve::Curve;
 use crate::motion::Kind;
@@ -81,33 +79,34 @@ impl Services<'_> {
     /// written again, and read back too. A drive that is running this very curve may jerk.
     pub fn put_curve(&self, curve: &Curve, watch: Watcher<'_>) -> Result<(), ServiceError> {
         let (id, new) = (curve.id, self.encoded(curve)?);
-        let steps = match self.way(id, &new)? {
+        let way = self.way(id, &new)?;
+        if way == CurvePut::Rebuild {
+            return self.rebuild(id, Some(&new), watch);
+        }
+        let old = self.raw_curve(id, &mut quiet)?;
+        let written = self.put_raw(way, id, &new, watch);
+        written.map_err(|failed| after(failed, self.restore_curve(id, old.as_ref()), REMEDY))
+    }
+
+    /// Writes a curve that way and reads it back.
+    fn put_raw(&self, way: CurvePut, id: u16, new: &Raw, watch: Watcher<'_>) -> Result<(), ServiceError> {
+        let steps = match way {
             CurvePut::Add => ADD,
             CurvePut::Modify => MODIFY,
-            CurvePut::Rebuild => return self.rebuild(id, Some(&new), watch),
+            CurvePut::Rebuild => return self.rebuild(id, Some(new), watch),
         };
-        let old = self.raw_curve(id, &mut quiet)?;
-        let written = self.write_raw(steps, id, &new, watch).and_then(|()| self.verify(id, &new, watch));
-        let Err(failed) = written else { return Ok(()) };
-        Err(after(failed, self.restore_curve(id, old.as_ref()), REMEDY))
+        self.write_raw(steps, id, new, watch)?;
+        self.verify(id, new, watch)
     }
 
     /// Restores the previous curve at `id`, whatever is there now: a part of another curve, or the content of the
     /// flash if the drive has restarted.
     fn restore_curve(&self, id: u16, old: Option<&Raw>) -> Result<(), ServiceError> {
-        let Some(old) = old else {
-            return match self.curve_sizes(id)? {
-                None => Ok(()),
-                Some(_) => self.rebuild(id, None, &mut quiet),
-            };
-        };
-        let steps = match self.way(id, old)? {
-            CurvePut::Add => ADD,
-            CurvePut::Modify => MODIFY,
-            CurvePut::Rebuild => return self.rebuild(id, Some(old), &mut quiet),
-        };
-        self.write_raw(steps, id, old, &mut quiet)?;
-        self.verify(id, old, &mut quiet)
+        match old {
+            Some(old) => self.put_raw(self.way(id, old)?, id, old, &mut quiet),
+            None if self.curve_sizes(id)?.is_some() => self.rebuild(id, None, &mut quiet),
+            None => Ok(()),
+        }
     }
 
     /// How to get from what the drive has at `id` to `new`.
@@ -143,10 +142,7 @@ impl Services<'_> {
     /// Bytes of info block and data.
     fn curve_sizes(&self, id: u16) -> Result<Option<(usize, usize)>, ServiceError> {
         match self.command(RtcCommand::GET_CURVE, id, 0, USUAL) {
-            Ok(answer) => {
-                let value = answer.value as u32;
-                Ok(Some((usize::from(value as u16), usize::from((value >> 16) as u16))))
-            }
+            Ok(answer) => Ok(Some([0, 16].map(|bit| usize::from((answer.value >> bit) as u16)).into())),
             Err(error) if error.refusal() == Some(Refusal::CurveDefinition) => Ok(None),
             Err(error) => Err(error),
         }
@@ -154,34 +150,24 @@ impl Services<'_> {
 
     fn raw_curve(&self, id: u16, watch: Watcher<'_>) -> Result<Option<Raw>, ServiceError> {
         let Some((info, data)) = self.curve_sizes(id)? else { return Ok(None) };
-        let of = info.div_ceil(4) + data.div_ceil(4);
-        let broken_off = || self.broken_off(&format!("reading curve {id}"));
-        let mut report = |done| watch(Progress { what: "read", done, of });
-        let info =
-            self.take_block(RtcCommand::GET_CURVE_INFO, id, info, &mut report)?.ok_or_else(broken_off)?;
-        let before = info.len().div_ceil(4);
-        let data = self
-            .take_block(RtcCommand::GET_CURVE_DATA, id, data, |done| report(before + done))?
-            .ok_or_else(broken_off)?;
+        let (before, of) = (info.div_ceil(4), info.div_ceil(4) + data.div_ceil(4));
+        let mut report =
+            |done| self.go_on(watch, Progress { what: "read", done, of }, || format!("reading curve {id}"));
+        let info = self.take_block(RtcCommand::GET_CURVE_INFO, id, info, &mut report)?;
+        let data = self.take_block(RtcCommand::GET_CURVE_DATA, id, data, |done| report(before + done))?;
         Ok(Some(Raw { info, data }))
     }
 
     fn write_raw(&self, steps: Steps, id: u16, raw: &Raw, watch: Watcher<'_>) -> Result<(), ServiceError> {
         let [start, info, data] = steps;
-        let of = raw.pieces();
-        let mut report = |done| watch(Progress { what: "write", done, of });
+        let (before, of) = (raw.info.len().div_ceil(4), raw.pieces());
+        let mut report =
+            |done| self.go_on(watch, Progress { what: "write", done, of }, || format!("writing curve {id}"));
         // Both fit: an info block has 70 bytes, and the data was checked.
         let sizes = raw.info.len() as u32 | (raw.data.len() as u32) << 16;
         self.command(start, id, sizes, USUAL)?;
-        let before = raw.info.len().div_ceil(4);
-        let mut flow = self.send_block(info, id, &raw.info, &mut report)?;
-        if flow.is_continue() {
-            flow = self.send_block(data, id, &raw.data, |done| report(before + done))?;
-        }
-        match flow {
-            ControlFlow::Continue(()) => Ok(()),
-            ControlFlow::Break(()) => Err(self.broken_off(&format!("writing curve {id}"))),
-        }
+        self.send_block(info, id, &raw.info, &mut report)?;
+        self.send_block(data, id, &raw.data, |done| report(before + done))
     }
 
     fn verify(&self, id: u16, written: &Raw, watch: Watcher<'_>) -> Result<(), ServiceError> {
@@ -199,14 +185,14 @@ impl Services<'_> {
             let raw = self.raw_curve(known, watch)?;
             old.extend(raw.map(|raw| (known, raw)));
         }
-        let others = || old.iter().filter(|(known, _)| *known != id).map(|(known, raw)| (*known, raw));
-        let all: Vec<(u16, &Raw)> = others().chain(new.map(|new| (id, new))).collect();
-        let Err(failed) = self.replace_all(&all, watch) else { return Ok(()) };
-        let before: Vec<(u16, &Raw)> = old.iter().map(|(known, raw)| (*known, raw)).collect();
-        Err(after(failed, self.replace_all(&before, &mut quiet), REMEDY))
+        let mut all = old.clone();
+        all.retain(|(known, _)| *known != id);
+        all.extend(new.map(|new| (id, new.clone())));
+        let replaced = self.replace_all(&all, watch);
+        replaced.map_err(|failed| after(failed, self.replace_all(&old, &mut quiet), REMEDY))
     }
 
-    fn replace_all(&self, curves: &[(u16, &Raw)], watch: Watcher<'_>) -> Result<(), ServiceError> {
+    fn replace_all(&self, curves: &[(u16, Raw)], watch: Watcher<'_>) -> Result<(), ServiceError> {
         self.delete_curves()?;
         let (mut before, of) = (0, curves.iter().map(|(_, raw)| raw.pieces()).sum());
         for (id, raw) in curves {

@@ -1,10 +1,10 @@
 //! The parameters that a drive has, and those that differ from their defaults.
 
 use super::log::plain;
-use super::{Progress, ServiceError, Services, Watcher};
+use super::{Progress, ServiceError, Services, USUAL, Watcher, describe};
 use crate::upid::{Upid, Usage, call};
 use crate::wire::{Refusal, RtcCommand};
-use fieldbeat_core::axis::acyclic::Answer;
+use fieldbeat_core::axis::acyclic::{Answer, CallError};
 
 /// The most pieces of a text.
 const LONGEST_TEXT: u16 = 16;
@@ -41,16 +41,14 @@ impl Services<'_> {
         let mut bytes = Vec::new();
         for piece in 0..LONGEST_TEXT {
             let upid = first.0.saturating_add(piece);
-            let (answers, refused) = self.until_refused(&[call(RtcCommand::READ_RAM, upid, 0)])?;
-            match (answers.first(), refused) {
-                (Some(answer), _) => bytes.extend((answer.value as u32).to_le_bytes()),
+            match self.command(RtcCommand::READ_RAM, upid, 0, USUAL) {
+                Ok(answer) => bytes.extend((answer.value as u32).to_le_bytes()),
                 // It ends where the next UPID is none.
-                (None, Some(Refusal::NoSuchUpid)) if piece > 0 => break,
-                (None, refused) => {
-                    let status = refused.map_or(0, |refusal| refusal.code().into());
-                    let what = format!("text at {first}");
-                    return Err(self.failed(what, fieldbeat_core::axis::acyclic::CallError::Refused(status)));
+                Err(error) if piece > 0 && error.refusal() == Some(Refusal::NoSuchUpid) => break,
+                Err(ServiceError::Call { error: error @ CallError::Refused(_), .. }) => {
+                    return Err(self.failed(format!("text at {first}"), error));
                 }
+                Err(error) => return Err(error),
             }
             if bytes.ends_with(&[0]) {
                 break;
@@ -67,28 +65,23 @@ impl Services<'_> {
         first: Upid,
         watch: Watcher<'_>,
     ) -> Result<Vec<Answer>, ServiceError> {
-        self.command(start, first.0, 0, super::USUAL)?;
+        self.command(start, first.0, 0, USUAL)?;
         let (more, mut items) = (vec![call(next, 0, 0); self.at_once()], Vec::new());
         // There are no more UPIDs than numbers of 16 bits; a longer list is refused.
         while items.len() <= usize::from(u16::MAX) {
-            match self.until_refused(&more)? {
-                (answers, None) => {
-                    items.extend(answers);
-                    let done = items.last().map_or(first.0, |item| item.address as u16).into();
-                    let of = usize::from(u16::MAX) + 1;
-                    if watch(Progress { what: "list", done, of }).is_break() {
-                        let what = "listing its parameters".to_owned();
-                        return Err(ServiceError::BrokenOff { drive: self.drive.clone(), what });
-                    }
+            let series = self.carrier.run(&more, USUAL);
+            items.extend(series.answers);
+            match series.failed {
+                None => {
+                    let done = items.last().map_or(first.0, |item: &Answer| item.address as u16).into();
+                    let progress = Progress { what: "list", done, of: usize::from(u16::MAX) + 1 };
+                    self.go_on(watch, progress, || "listing its parameters".to_owned())?;
                 }
-                (answers, Some(Refusal::EndOfList)) => {
-                    items.extend(answers);
+                Some(CallError::Refused(status)) if Refusal::of(status as u8) == Refusal::EndOfList => {
                     return Ok(items);
                 }
-                (_, Some(refusal)) => {
-                    let error = fieldbeat_core::axis::acyclic::CallError::Refused(refusal.code().into());
-                    return Err(self.failed(next.to_string(), error));
-                }
+                Some(error @ CallError::Refused(_)) => return Err(self.failed(next.to_string(), error)),
+                Some(error) => return Err(self.failed(describe(more.first()), error)),
             }
         }
         Err(self.content(next.to_string(), "a list without an end".to_owned()))

@@ -33,7 +33,7 @@ pub use log::{ErrorLog, LoggedError};
 pub use software::{Part, Saved};
 
 use super::upid::call;
-use super::wire::{Refusal, RtcCommand, RtcStatus};
+use super::wire::{Refusal, RtcCommand, RtcStatus, Take};
 use fieldbeat_core::axis::acyclic::{Acyclic, Answer, Call, CallError, Carrier, Condition};
 pub use fieldbeat_core::axis::acyclic::{Progress, Watcher};
 
@@ -215,37 +215,25 @@ impl<'a> Services<'a> {
         }
     }
 
-    /// Commands until the drive refuses one; returns the refusal with the earlier answers.
-    fn until_refused(&self, calls: &[Call]) -> Result<(Vec<Answer>, Option<Refusal>), ServiceError> {
-        let series = self.carrier.run(calls, USUAL);
-        match series.failed {
-            None => Ok((series.answers, None)),
-            Some(CallError::Refused(status)) => Ok((series.answers, Some(Refusal::of(status as u8)))),
-            Some(error) => Err(self.failed(describe(calls.get(series.answers.len())), error)),
-        }
-    }
-
     /// A block, in pieces of 4 bytes, to the drive: each but the last leaves the block unfinished.
     fn send_block(
         &self,
         command: RtcCommand,
         index: u16,
         block: &[u8],
-        mut report: impl FnMut(usize) -> ControlFlow<()>,
-    ) -> Result<ControlFlow<()>, ServiceError> {
+        mut report: impl FnMut(usize) -> Result<(), ServiceError>,
+    ) -> Result<(), ServiceError> {
         let calls: Vec<Call> =
-            block.chunks(4).map(|piece| call(command, index, u32::from_le_bytes(padded(piece)))).collect();
+            block.chunks(4).map(|piece| call(command, index, Take(piece).long())).collect();
         let (mut sent, last) = (0, calls.len());
         for calls in calls.chunks(self.at_once()) {
             for answer in self.series(calls, USUAL)? {
                 sent += 1;
                 self.check_step(command, index, answer, sent == last)?;
             }
-            if report(sent).is_break() {
-                return Ok(ControlFlow::Break(()));
-            }
+            report(sent)?;
         }
-        Ok(ControlFlow::Continue(()))
+        Ok(())
     }
 
     /// A block of so many bytes, in pieces of 4, from the drive.
@@ -254,8 +242,8 @@ impl<'a> Services<'a> {
         command: RtcCommand,
         index: u16,
         size: usize,
-        mut report: impl FnMut(usize) -> ControlFlow<()>,
-    ) -> Result<Option<Vec<u8>>, ServiceError> {
+        mut report: impl FnMut(usize) -> Result<(), ServiceError>,
+    ) -> Result<Vec<u8>, ServiceError> {
         let last = size.div_ceil(4);
         let (calls, mut block) = (vec![call(command, index, 0); last], Vec::with_capacity(size + 3));
         for calls in calls.chunks(self.at_once()) {
@@ -263,12 +251,25 @@ impl<'a> Services<'a> {
                 block.extend((answer.value as u32).to_le_bytes());
                 self.check_step(command, index, answer, block.len() >= size)?;
             }
-            if report(block.len() / 4).is_break() {
-                return Ok(None);
-            }
+            report(block.len() / 4)?;
         }
         block.truncate(size);
-        Ok(Some(block))
+        Ok(block)
+    }
+
+    /// Reports that so much of `activity` is done; an error if that cancels it.
+    fn go_on(
+        &self,
+        watch: Watcher<'_>,
+        progress: Progress,
+        activity: impl FnOnce() -> String,
+    ) -> Result<(), ServiceError> {
+        match watch(progress) {
+            ControlFlow::Continue(()) => Ok(()),
+            ControlFlow::Break(()) => {
+                Err(ServiceError::BrokenOff { drive: self.drive.clone(), what: activity() })
+            }
+        }
     }
 
     /// A drive that takes the end of a block for its middle, or the other way round, counts differently from this
@@ -310,17 +311,6 @@ impl<'a> Services<'a> {
             "what was read back is not what was written: look for another tool that writes to this drive";
         self.content(what, why.to_owned())
     }
-
-    fn broken_off(&self, what: &str) -> ServiceError {
-        ServiceError::BrokenOff { drive: self.drive.clone(), what: what.to_owned() }
-    }
-}
-
-/// Four bytes, the missing ones 0.
-fn padded(piece: &[u8]) -> [u8; 4] {
-    let mut bytes = [0; 4];
-    bytes.iter_mut().zip(piece).for_each(|(byte, given)| *byte = *given);
-    bytes
 }
 
 /// The message after a failure: whether the previous content was restored.

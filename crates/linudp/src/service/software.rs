@@ -14,15 +14,16 @@ const PATIENCE: Duration = Duration::from_secs(60);
 
 /// A part of a drive's parameters.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
 pub enum Part {
     /// Operating system (UPIDs 0xxxh).
-    Os,
+    Os = RtcCommand::DEFAULT_OS.0,
     /// Motion control (1xxxh).
-    MotionControl,
+    MotionControl = RtcCommand::DEFAULT_MC.0,
     /// Interface (2xxxh), its addresses included.
-    Interface,
+    Interface = RtcCommand::DEFAULT_INTERFACE.0,
     /// Application (3xxxh).
-    Application,
+    Application = RtcCommand::DEFAULT_APPLICATION.0,
 }
 
 impl Part {
@@ -34,13 +35,9 @@ impl Part {
         ("application", Part::Application),
     ];
 
+    /// The command that resets it.
     fn command(self) -> RtcCommand {
-        match self {
-            Part::Os => RtcCommand::DEFAULT_OS,
-            Part::MotionControl => RtcCommand::DEFAULT_MC,
-            Part::Interface => RtcCommand::DEFAULT_INTERFACE,
-            Part::Application => RtcCommand::DEFAULT_APPLICATION,
-        }
+        RtcCommand(self as u8)
     }
 }
 

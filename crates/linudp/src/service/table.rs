@@ -1,7 +1,6 @@
 //! The command table: read, written, saved. It lives in RAM until it is saved.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::ops::ControlFlow;
 
 use super::{Progress, Saved, ServiceError, Services, USUAL, Watcher, after, quiet};
 use crate::motion::EntryId;
@@ -63,12 +62,11 @@ impl Services<'_> {
             flow
         };
         let written = self.change(&old, &new, report).and_then(|()| self.verify_table(&new, report));
-        match written {
-            Ok(()) => Ok(()),
-            Err(failed) if begun => Err(after(failed, self.restore(&old), REMEDY)),
+        written.map_err(|failed| match begun {
+            true => after(failed, self.restore(&old), REMEDY),
             // Cancelled before anything was sent.
-            Err(failed) => Err(failed),
-        }
+            false => failed,
+        })
     }
 
     /// Deletes all entries in RAM.
@@ -90,9 +88,8 @@ impl Services<'_> {
             all.into_iter().filter(|id| old.get(id) != new.get(id)).partition(|id| !new.contains_key(id));
         let of = gone.len() + kept.len();
         for (done, id) in gone.into_iter().chain(kept).enumerate() {
-            if watch(Progress { what: "write", done, of }).is_break() {
-                return Err(self.broken_off("writing the command table"));
-            }
+            let writing = || "writing the command table".to_owned();
+            self.go_on(watch, Progress { what: "write", done, of }, writing)?;
             if old.contains_key(&id) {
                 self.command(RtcCommand::DELETE_ENTRY, id.wire(), 0, USUAL)?;
             }
@@ -107,11 +104,8 @@ impl Services<'_> {
     /// Restores `old` with as few steps as the present content allows: an entry may be half written. What could not
     /// be read then cannot be written now.
     fn restore(&self, old: &Image) -> Result<(), ServiceError> {
-        let old: Image = old
-            .iter()
-            .filter(|(_, bytes)| !bytes.is_empty())
-            .map(|(id, bytes)| (*id, bytes.clone()))
-            .collect();
+        let mut old = old.clone();
+        old.retain(|_, bytes| !bytes.is_empty());
         let is = match self.image(&mut quiet) {
             Ok(is) => is,
             Err(_) => {
@@ -133,9 +127,8 @@ impl Services<'_> {
     fn image(&self, watch: Watcher<'_>) -> Result<Image, ServiceError> {
         let (ids, mut image) = (self.entries()?, Image::new());
         for (done, id) in ids.iter().enumerate() {
-            if watch(Progress { what: "read", done, of: ids.len() }).is_break() {
-                return Err(self.broken_off("reading the command table"));
-            }
+            let reading = || "reading the command table".to_owned();
+            self.go_on(watch, Progress { what: "read", done, of: ids.len() }, reading)?;
             let bytes = match self.entry_bytes(*id) {
                 Err(error) if error.refusal() == Some(Refusal::WrongSize) => Vec::new(),
                 bytes => bytes?,
@@ -149,14 +142,12 @@ impl Services<'_> {
     fn write_entry(&self, id: EntryId, bytes: &[u8]) -> Result<(), ServiceError> {
         // As the drive returned it, or as an entry is encoded: both have a size of 16 bits.
         self.command(RtcCommand::WRITE_ENTRY, id.wire(), bytes.len() as u32, USUAL)?;
-        let go_on = |_| ControlFlow::Continue(());
-        self.send_block(RtcCommand::WRITE_ENTRY_DATA, id.wire(), bytes, go_on).map(drop)
+        self.send_block(RtcCommand::WRITE_ENTRY_DATA, id.wire(), bytes, |_| Ok(()))
     }
 
     fn entry_bytes(&self, id: EntryId) -> Result<Vec<u8>, ServiceError> {
         let answer = self.command(RtcCommand::GET_ENTRY, id.wire(), 0, USUAL)?;
-        let (size, go_on) = (usize::from(answer.value as u16), |_| ControlFlow::Continue(()));
-        let block = self.take_block(RtcCommand::GET_ENTRY_DATA, id.wire(), size, go_on)?;
-        Ok(block.unwrap_or_default())
+        let size = usize::from(answer.value as u16);
+        self.take_block(RtcCommand::GET_ENTRY_DATA, id.wire(), size, |_| Ok(()))
     }
 }
