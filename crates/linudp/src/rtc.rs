@@ -30,6 +30,10 @@ fn next(count: u8) -> u8 {
     if count >= 14 { 1 } else { count + 1 }
 }
 
+fn no_operation(count: u8) -> RtcBlock {
+    RtcBlock::command(count, RtcCommand::NO_OPERATION)
+}
+
 /// Status of a call whose command was followed by silence without an acknowledge: it went out, and the drive is
 /// back. Only a restart and a check show whether it was done.
 pub const UNACKNOWLEDGED: u32 = 0x100;
@@ -45,10 +49,7 @@ pub(super) struct RtcChannel {
     /// The count of the last own block that went out, and the last prepared one.
     sent: u8,
     prepared: Option<RtcBlock>,
-    /// The count stored in the drive, if it is known.
-    stored: Option<u8>,
-    /// The count by which it is being learned.
-    learning: Option<u8>,
+    stored: Stored,
     active: Option<Active>,
     /// Since the count of the block was chosen: the instant, and how many clean replies did not echo it.
     counted: Time,
@@ -71,6 +72,15 @@ pub(super) struct RtcChannel {
     monitor: Monitor,
 }
 
+/// The count that the drive has stored.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Stored {
+    Unknown,
+    /// It is being learned by this count.
+    Learning(u8),
+    Known(u8),
+}
+
 /// The call under way.
 #[derive(Clone, Copy, Debug)]
 struct Active {
@@ -81,24 +91,32 @@ struct Active {
     /// The count of its command; 0 = not chosen yet.
     count: u8,
     since: Time,
-    /// A request with it went out.
-    gone_out: bool,
-    /// The silence that followed.
-    silence: Silence,
+    stage: Stage,
 }
 
-/// How silent a drive is after a command that may silence it.
+/// How far a command is, and how silent the drive is after one that may silence it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Silence {
-    /// It answers.
-    None,
-    /// It has missed an exchange.
-    Short,
+enum Stage {
+    /// No request with it went out.
+    Waiting,
+    /// The drive answers.
+    Sent,
+    /// The drive has missed an exchange.
+    Silent,
     /// Its link was lost.
-    Long,
+    Lost,
 }
 
 impl Active {
+    fn has_gone_out(&self) -> bool {
+        self.stage != Stage::Waiting
+    }
+
+    /// The drive is silent after it.
+    fn is_silent(&self) -> bool {
+        matches!(self.stage, Stage::Silent | Stage::Lost)
+    }
+
     fn block(&self) -> RtcBlock {
         let call = &self.posted.call;
         // The services of this channel have a byte, an index of 16 and a value of 32 bits.
@@ -174,8 +192,7 @@ impl RtcChannel {
             port,
             sent: 0,
             prepared: None,
-            stored: None,
-            learning: None,
+            stored: Stored::Unknown,
             active: None,
             counted: Time(0),
             unechoed: 0,
@@ -223,25 +240,23 @@ impl RtcChannel {
             self.port.refuse_all(CallError::NotOnline);
             self.monitor.forget();
         }
-        if let Some(active) = &mut self.active
-            && active.gone_out
-            && may_be_silent(active.command)
-        {
-            active.silence = match active.silence {
-                Silence::Long => Silence::Long,
-                _ if down => Silence::Long,
-                _ if self.unanswered < self.within => Silence::None,
-                _ => Silence::Short,
+        if let Some(active) = self.active.as_mut().filter(|active| may_be_silent(active.command)) {
+            active.stage = match active.stage {
+                Stage::Waiting => Stage::Waiting,
+                Stage::Lost => Stage::Lost,
+                _ if down => Stage::Lost,
+                _ if self.unanswered < self.within => Stage::Sent,
+                _ => Stage::Silent,
             };
         }
         if let Some(active) = self.active {
             if !active.own && self.port.is_cancelled(&active.posted) {
                 self.end(Err(CallError::Cancelled));
             } else if let Some(why) = self.port.refusal(&active.posted)
-                && !(active.own || active.gone_out)
+                && !(active.own || active.has_gone_out())
             {
                 self.end(Err(why));
-            } else if down && active.silence != Silence::Long {
+            } else if down && active.stage != Stage::Lost {
                 self.end(Err(CallError::NotOnline));
             } else if self.forgotten && goes_on(active.command) {
                 self.end(Err(CallError::Restarted));
@@ -285,43 +300,38 @@ impl RtcChannel {
             return self.port.end(&posted, Err(CallError::Powered));
         }
         self.forgotten &= !begins(command);
-        self.active = Some(Active {
-            posted,
-            own: own.is_some(),
-            command,
-            count: 0,
-            since: now,
-            gone_out: false,
-            silence: Silence::None,
-        });
+        let (own, stage) = (own.is_some(), Stage::Waiting);
+        self.active = Some(Active { posted, own, command, count: 0, since: now, stage });
     }
 
     fn block(&mut self, now: Time) -> Option<RtcBlock> {
         let overdue = now.since(self.counted) > TAKEN_WITHIN_NS && self.unechoed >= TAKEN_WITHIN;
-        if self.stored.is_none() {
-            if self.learning.is_none() || overdue {
-                self.learning = Some(next(self.sent));
-                (self.counted, self.unechoed) = (now, 0);
+        let stored = match self.stored {
+            Stored::Known(count) => count,
+            Stored::Learning(count) if !overdue => return Some(no_operation(count)),
+            Stored::Unknown | Stored::Learning(_) => {
+                let count = next(self.sent);
+                (self.stored, self.counted, self.unechoed) = (Stored::Learning(count), now, 0);
+                return Some(no_operation(count));
             }
-            return self.learning.map(|count| RtcBlock::command(count, RtcCommand::NO_OPERATION));
-        }
+        };
         let active = self.active.as_mut()?;
-        match active.silence {
-            Silence::None => {}
+        match active.stage {
+            Stage::Waiting | Stage::Sent => {}
             // The sent block may be under way: until the drive answers, only its state is requested.
-            Silence::Short => return None,
+            Stage::Silent => return None,
             // With the same count: a drive that has stored it reports the result, and any other one executes a
             // harmless read.
-            Silence::Long => {
+            Stage::Lost => {
                 return Some(RtcBlock::call(active.count, RtcCommand::READ_RAM, HARMLESS.0, 0));
             }
         }
-        let once = active.gone_out && may_be_silent(active.command);
+        let once = active.has_gone_out() && may_be_silent(active.command);
         if active.count == 0 || overdue && !once {
             // Not 0, not the count that went out before, and not the one stored in the drive: that may be a native
             // block's.
             let count = next(self.sent);
-            active.count = if self.stored == Some(count) { next(count) } else { count };
+            active.count = if count == stored { next(count) } else { count };
             (self.counted, self.unechoed) = (now, 0);
         }
         Some(active.block())
@@ -329,17 +339,17 @@ impl RtcChannel {
 
     /// Nothing is to be sent that the drive would store: it is silent, and may be busy with a command.
     pub(super) fn hushes(&self) -> bool {
-        self.active.is_some_and(|active| active.silence != Silence::None)
+        self.active.is_some_and(|active| active.is_silent())
     }
 
     /// A request to the drive makes it silent, and its power is off: no other axis has to stop because of that.
     pub(super) fn expects_silence(&self) -> bool {
-        self.active.is_some_and(|active| active.gone_out && may_be_silent(active.command))
+        self.active.is_some_and(|active| active.has_gone_out() && may_be_silent(active.command))
     }
 
     /// A block that does nothing, with a count of its own, to distinguish replies.
     pub(super) fn tag(&mut self) -> RtcBlock {
-        let block = RtcBlock::command(next(self.sent), RtcCommand::NO_OPERATION);
+        let block = no_operation(next(self.sent));
         self.prepared = Some(block);
         block
     }
@@ -352,7 +362,7 @@ impl RtcChannel {
             self.end(Err(CallError::Native));
         }
         self.prepared = None;
-        (self.stored, self.learning) = (None, Some(next(self.sent)));
+        self.stored = Stored::Learning(next(self.sent));
     }
 
     /// The prepared request has gone out.
@@ -361,14 +371,13 @@ impl RtcChannel {
         let Some(block) = self.prepared else { return };
         self.sent = block.count();
         if let Some(active) = &mut self.active
-            && self.stored.is_some()
+            && matches!(self.stored, Stored::Known(_))
             && active.count == block.count()
         {
-            if !active.gone_out {
+            if !active.has_gone_out() {
                 // The time that learning the count took does not count as its own.
-                active.since = self.now;
+                (active.since, active.stage) = (self.now, Stage::Sent);
             }
-            active.gone_out = true;
             self.software_stopped |= active.command == RtcCommand::STOP_SOFTWARE;
         }
     }
@@ -377,28 +386,31 @@ impl RtcChannel {
     pub(super) fn take(&mut self, block: RtcBlock, is_earlier: bool) {
         self.take_none(is_earlier);
         let echo = block.count();
-        let Some(active) = self.active.filter(|_| self.stored.is_some()) else {
+        let Some(active) = self.active.filter(|_| matches!(self.stored, Stored::Known(_))) else {
             // Only the count of a later command shows that an earlier one is over.
-            if self.learning.map_or(!self.unsettled, |count| count == echo) {
-                self.stored = Some(echo);
-                (self.learning, self.unsettled) = (None, false);
+            let is_learned = match self.stored {
+                Stored::Learning(count) => count == echo,
+                Stored::Unknown | Stored::Known(_) => !self.unsettled,
+            };
+            if is_learned {
+                (self.stored, self.unsettled) = (Stored::Known(echo), false);
             } else {
                 self.unechoed = self.unechoed.saturating_add(1);
             }
             return;
         };
-        if !active.gone_out || active.count != echo {
+        if !active.has_gone_out() || active.count != echo {
             self.unechoed = self.unechoed.saturating_add(1);
             return;
         }
         // It was accepted, however long it takes.
-        (self.stored, self.unechoed) = (Some(echo), 0);
+        (self.stored, self.unechoed) = (Stored::Known(echo), 0);
         let answer =
             Answer { status: block.code.into(), address: block.index().into(), value: block.value().into() };
         match block.status() {
             RtcStatus::Running | RtcStatus::Busy => {}
             // It has not stored the command before its silence.
-            _ if active.silence == Silence::Long && block.index() == HARMLESS.0 => {
+            _ if active.stage == Stage::Lost && block.index() == HARMLESS.0 => {
                 self.end(Ok(Answer { status: UNACKNOWLEDGED, ..Answer::default() }));
             }
             RtcStatus::Refused(refusal) => self.end(Err(CallError::Refused(refusal.code().into()))),
@@ -430,10 +442,11 @@ impl RtcChannel {
             _ => {}
         }
         let answered = matches!(result, Ok(_) | Err(CallError::Refused(_)));
-        if active.silence != Silence::None || !answered {
+        if active.is_silent() || !answered {
             self.doubt();
         }
-        self.unsettled |= active.gone_out && !answered && !active.own && self.port.commands(&active.posted);
+        self.unsettled |=
+            active.has_gone_out() && !answered && !active.own && self.port.commands(&active.posted);
         let written = matches!(active.command, RtcCommand::WRITE_RAM | RtcCommand::WRITE_BOTH);
         if written && !active.own && (0x20A8..=0x20AB).contains(&active.posted.call.address) {
             // Another tool has chosen another source.
@@ -449,7 +462,7 @@ impl RtcChannel {
 
     /// The stored count is to be learned anew.
     fn doubt(&mut self) {
-        (self.stored, self.learning) = (None, None);
+        self.stored = Stored::Unknown;
         if let Some(active) = &mut self.active {
             active.count = 0;
         }
@@ -473,10 +486,10 @@ impl RtcChannel {
 
     fn begin_anew(&mut self) {
         match self.active {
-            Some(active) if active.gone_out && active.command == RtcCommand::RESTART => {
+            Some(active) if active.has_gone_out() && active.command == RtcCommand::RESTART => {
                 self.end(Ok(Answer::default()));
             }
-            Some(active) if active.gone_out || active.own => self.end(Err(CallError::Restarted)),
+            Some(active) if active.has_gone_out() || active.own => self.end(Err(CallError::Restarted)),
             // It has not gone out yet: it goes to the restarted drive.
             Some(_) | None => {}
         }

@@ -44,13 +44,22 @@ impl SerialNote {
     }
 }
 
+/// Whether the drive is the one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Known {
+    No,
+    /// Since the link is down, and no exchange was missed after that.
+    Fresh,
+    /// Until the link is lost.
+    Linked,
+}
+
 /// Whether a drive is the one.
 #[derive(Debug)]
 pub(super) struct Identification {
+    /// The one that it has to be, if any.
     wanted: Option<Serial>,
-    is_known: bool,
-    /// Since the link is down, and no exchange was missed after that.
-    is_fresh: bool,
+    known: Known,
     count: u8,
     unechoed: u8,
     note: SerialNote,
@@ -60,8 +69,8 @@ impl Identification {
     /// Of a drive that has to be this one, if any.
     pub(super) fn new(wanted: Option<Serial>) -> Identification {
         let wanted = wanted.filter(|wanted| wanted.number.is_some());
-        let (is_known, is_fresh) = (wanted.is_none(), false);
-        Identification { wanted, is_known, is_fresh, count: 1, unechoed: 0, note: SerialNote::default() }
+        let known = if wanted.is_none() { Known::Linked } else { Known::No };
+        Identification { wanted, known, count: 1, unechoed: 0, note: SerialNote::default() }
     }
 
     pub(super) fn note(&self) -> SerialNote {
@@ -71,18 +80,23 @@ impl Identification {
     /// It is the one, or may be any.
     #[inline]
     pub(super) fn is_known(&self) -> bool {
-        self.is_known
+        self.known != Known::No
     }
 
     /// The next request is built: on a link that is down, and after an exchange that was missed.
     pub(super) fn advance(&mut self, is_down: bool, is_missed: bool) {
-        self.is_fresh &= is_down && !is_missed;
-        self.is_known &= self.wanted.is_none() || !is_down || self.is_fresh;
+        self.known = match self.known {
+            known if self.wanted.is_none() => known,
+            Known::No => Known::No,
+            _ if !is_down => Known::Linked,
+            Known::Fresh if !is_missed => Known::Fresh,
+            Known::Fresh | Known::Linked => Known::No,
+        };
     }
 
     /// What the next request asks for.
     pub(super) fn block(&self) -> Option<RtcBlock> {
-        let wanted = self.wanted.filter(|_| !self.is_known)?;
+        let wanted = self.wanted.filter(|_| !self.is_known())?;
         Some(RtcBlock::call(self.count, RtcCommand::READ_RAM, wanted.from.0, 0))
     }
 
@@ -105,7 +119,7 @@ impl Identification {
             _ if Some(block.value()) != wanted.number => self.note.set(ANOTHER | u64::from(block.value())),
             _ => {
                 self.note.set(0);
-                (self.is_known, self.is_fresh) = (true, true);
+                self.known = Known::Fresh;
             }
         }
         self.again();
