@@ -28,8 +28,8 @@ impl Upids {
         address(text).ok_or(NotationError::Address { form: FORM })
     }
 
-    fn kind(text: &str) -> Type {
-        address(text).and_then(|(upid, _)| upid.known()).map_or(Type::U32, |known| known.kind)
+    fn known(text: &str) -> Option<&'static Known> {
+        address(text)?.0.known()
     }
 }
 
@@ -58,29 +58,19 @@ impl Notation for Upids {
 
     fn value(&self, address: &str, text: &str) -> Result<u64, NotationError> {
         let (upid, _) = Upids::find(address)?;
-        let known = upid.known();
-        let (low, high) = match known {
-            Some(known) => known.kind.range(),
-            // Of whatever sign: the bits are the same.
-            None => (i64::from(i32::MIN), i64::from(u32::MAX)),
-        };
-        let number = match text {
-            "true" => Some(1),
-            "false" => Some(0),
-            _ => match text.strip_prefix("0x") {
-                // The bits as they stand.
-                Some(digits) if !digits.starts_with(['+', '-']) => {
-                    i64::from_str_radix(digits, 16).ok().map(|bits| {
-                        let raw = u32::try_from(bits).ok();
-                        // Bits that the type does not have are out of its range.
-                        raw.map_or(Some(bits), |raw| {
-                            known.map_or(Some(bits), |known| known.kind.strict_number(raw))
-                        })
-                        .unwrap_or(bits)
-                    })
-                }
-                _ => text.parse().ok(),
-            },
+        let kind = upid.known().map(|known| known.kind);
+        // One that is not known may be of either sign: the bits are the same.
+        let (low, high) = kind.map_or((i32::MIN.into(), u32::MAX.into()), Type::range);
+        let number = match (text, text.strip_prefix("0x")) {
+            ("true", _) => Some(1),
+            ("false", _) => Some(0),
+            // The bits as they stand. Those that the type does not have are out of its range.
+            (_, Some(digits)) if !digits.starts_with(['+', '-']) => {
+                let bits = i64::from_str_radix(digits, 16).ok();
+                let raw = bits.and_then(|bits| u32::try_from(bits).ok());
+                kind.zip(raw).and_then(|(kind, raw)| kind.strict_number(raw)).or(bits)
+            }
+            _ => text.parse().ok(),
         };
         match number {
             // Cut to 32 bits, as a signed value is sent.
@@ -94,19 +84,20 @@ impl Notation for Upids {
     }
 
     fn number(&self, address: &str, raw: u64) -> i64 {
-        Upids::kind(address).number(raw as u32)
+        Upids::known(address).map_or(Type::U32, |known| known.kind).number(raw as u32)
     }
 
     fn show(&self, text: &str, raw: u64) -> String {
         let raw = raw as u32;
-        match address(text).and_then(|(upid, _)| upid.known()) {
+        match Upids::known(text) {
             Some(Known { kind: Type::Text, .. }) => {
                 let letters = raw.to_le_bytes().map(char::from);
                 let letters: String = letters.into_iter().filter(char::is_ascii_graphic).collect();
                 format!("\"{letters}\" (0x{raw:X})")
             }
             Some(known) => {
-                let means = (!known.unit.is_empty()).then(|| format!("{} {}", known.value(raw), known.unit));
+                let means = (!known.quantity.unit.is_empty())
+                    .then(|| format!("{} {}", known.value(raw), known.quantity.unit));
                 shown(means, known.kind.number(raw), raw.into())
             }
             None => shown(None, raw.into(), raw.into()),
@@ -114,8 +105,7 @@ impl Notation for Upids {
     }
 
     fn quantity(&self, text: &str) -> Option<Quantity> {
-        let known = address(text).and_then(|(upid, _)| upid.known())?;
-        Some(known.quantity()).filter(|quantity| !quantity.unit.is_empty())
+        Some(Upids::known(text)?.quantity).filter(|quantity| !quantity.unit.is_empty())
     }
 
     fn reason(&self, status: u32) -> String {
@@ -140,7 +130,7 @@ impl Notation for Upids {
     fn is_same(&self, text: &str, written: u64, read: u64) -> bool {
         let (written, read) = (written as u32, read as u32);
         // A drive keeps as much of a value as the parameter has room for, with or without its sign above.
-        let kinds = match address(text).and_then(|(upid, _)| upid.known()) {
+        let kinds = match Upids::known(text) {
             Some(known) => &[known.kind][..],
             None => &[Type::U32, Type::S16, Type::S8][..],
         };

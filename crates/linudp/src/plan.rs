@@ -183,7 +183,7 @@ impl MonitorPlan {
     /// Names and units of the channels, for people.
     pub fn channels(self) -> [Option<MonitorChannel>; 4] {
         let of = |source: Upid| match source.known() {
-            Some(known) => MonitorChannel { name: known.name.to_owned(), unit: known.unit },
+            Some(known) => MonitorChannel { name: known.name.to_owned(), unit: known.quantity.unit },
             None => MonitorChannel { name: source.to_string(), unit: "" },
         };
         match self {

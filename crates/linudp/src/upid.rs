@@ -13,7 +13,7 @@
 pub use super::motion::Upid;
 use super::rtc;
 use super::wire::RtcCommand;
-use fieldbeat_core::axis::acyclic::{self, Call, Commanding, Quantity};
+use fieldbeat_core::axis::acyclic::{Call, Commanding, Quantity, Scale};
 
 /// The calls that command a drive.
 pub(super) fn commanding() -> Commanding {
@@ -169,15 +169,6 @@ impl std::fmt::Display for Usage {
     }
 }
 
-/// How a raw value becomes one in its unit.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Scale {
-    /// One count is `10^-n` of the unit.
-    Decimals(u32),
-    /// Of the motor temperature: raw x 250/255 - 50 (a master in the field), to two decimals.
-    MotorTemperature,
-}
-
 /// What is known of a UPID.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Known {
@@ -187,34 +178,25 @@ pub struct Known {
     pub name: &'static str,
     /// Its type.
     pub kind: Type,
-    /// What a count of the drive is in the unit below.
-    pub scale: Scale,
-    /// The unit of the scaled value; empty for a plain number.
-    pub unit: &'static str,
+    /// What its counts measure; without a unit they are plain numbers.
+    pub quantity: Quantity,
 }
 
 impl Known {
-    /// What its counts measure.
-    pub fn quantity(&self) -> Quantity {
-        let scale = match self.scale {
-            Scale::Decimals(decimals) => acyclic::Scale::Decimals(decimals),
-            Scale::MotorTemperature => acyclic::Scale::Linear { per_unit: 255.0 / 250.0, zero: -50.0 },
-        };
-        Quantity { scale, unit: self.unit }
-    }
-
     /// The scaled value of a raw one.
     pub fn value(&self, raw: u32) -> f64 {
         let number = self.kind.number(raw) as f64;
-        match self.scale {
+        match self.quantity.scale {
             Scale::Decimals(decimals) => number / f64::from(10_u32.pow(decimals)),
-            Scale::MotorTemperature => ((number * 250.0 / 255.0 - 50.0) * 100.0).round() / 100.0,
+            // To two decimals.
+            Scale::Linear { per_unit, zero } => ((number / per_unit + zero) * 100.0).round() / 100.0,
         }
     }
 }
 
 const fn known(upid: u16, name: &'static str, kind: Type, decimals: u32, unit: &'static str) -> Known {
-    Known { upid: Upid(upid), name, kind, scale: Scale::Decimals(decimals), unit }
+    let quantity = Quantity { scale: Scale::Decimals(decimals), unit };
+    Known { upid: Upid(upid), name, kind, quantity }
 }
 
 const fn number(upid: u16, name: &'static str, kind: Type) -> Known {
@@ -277,8 +259,11 @@ pub const KNOWN: &[Known] = &[
     known(0x1BCD, "core-temperature", Type::S16, 1, "C"),
     known(0x1BCE, "drive-temperature", Type::S16, 1, "C"),
     number(0x1BDD, "power-loss", Type::U16),
-    // The low 16 bits.
-    Known { scale: Scale::MotorTemperature, ..known(0x1BF3, "motor-temperature", Type::U16, 0, "C") },
+    // The low 16 bits, raw x 250/255 - 50 (a master in the field).
+    Known {
+        quantity: Quantity { scale: Scale::Linear { per_unit: 255.0 / 250.0, zero: -50.0 }, unit: "C" },
+        ..number(0x1BF3, "motor-temperature", Type::U16)
+    },
     number(0x1C00, "temperature-reserve", Type::S16),
     number(0x1C1B, "commutation-found", Type::S16),
     known(0x1CAF, "drive-timer", Type::U32, 0, "us"),

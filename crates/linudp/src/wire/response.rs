@@ -45,18 +45,11 @@ impl<'a> ResponseView<'a> {
         self.response
     }
 
-    /// Its first four blocks, which each reply to a master has; one that is missing is 0.
+    /// Its first four blocks, which each reply to a master has; all of them 0 where one is missing.
     #[inline]
     pub fn front(&self) -> Front {
-        match self.response.contains(ResponseDef::FRONT) {
-            true => chunk(self.bytes, field::HEADER).map(Front::from_bytes).unwrap_or_default(),
-            false => Front {
-                status: self.status().unwrap_or_default(),
-                state: self.state().unwrap_or_default(),
-                actual: self.actual().unwrap_or_default(),
-                demand: self.demand().unwrap_or_default(),
-            },
-        }
+        let blocks = chunk(self.bytes, field::HEADER).filter(|_| self.response.contains(ResponseDef::FRONT));
+        blocks.map(Front::from_bytes).unwrap_or_default()
     }
 
     #[inline]
