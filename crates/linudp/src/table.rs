@@ -7,7 +7,6 @@
 //! master on real drives.
 
 use std::collections::BTreeMap;
-use std::collections::btree_map::Iter;
 
 use thiserror::Error;
 
@@ -131,10 +130,7 @@ impl Entry {
 }
 
 /// The entries by their ids, 1 ... 255.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Table {
-    entries: BTreeMap<EntryId, Entry>,
-}
+pub type Table = BTreeMap<EntryId, Entry>;
 
 /// An entry leads to one that does not exist: the drive would end in error 008Ah.
 #[derive(Clone, Copy, PartialEq, Eq, Error)]
@@ -149,62 +145,11 @@ pub struct DeadEnd {
 }
 fieldbeat_core::debug_as_display!(DeadEnd);
 
-impl Table {
-    /// No entry.
-    pub const fn new() -> Table {
-        Table { entries: BTreeMap::new() }
-    }
-
-    /// Puts an entry there; returns the one that was there.
-    pub fn insert(&mut self, id: EntryId, entry: Entry) -> Option<Entry> {
-        self.entries.insert(id, entry)
-    }
-
-    /// Removes an entry.
-    pub fn remove(&mut self, id: EntryId) -> Option<Entry> {
-        self.entries.remove(&id)
-    }
-
-    /// The entry of this id.
-    pub fn get(&self, id: EntryId) -> Option<&Entry> {
-        self.entries.get(&id)
-    }
-
-    /// All of them, by rising ids.
-    pub fn iter(&self) -> Iter<'_, EntryId, Entry> {
-        self.entries.iter()
-    }
-
-    /// The number of entries.
-    pub fn len(&self) -> usize {
-        self.entries.len()
-    }
-
-    /// Whether there is none.
-    pub fn is_empty(&self) -> bool {
-        self.entries.is_empty()
-    }
-
-    /// Every link to a missing entry, those of raw commands included.
-    pub fn dead_ends(&self) -> Vec<DeadEnd> {
-        let is_there = |to: i64| {
-            let id = u16::try_from(to).ok().and_then(|id| EntryId::new(id).ok());
-            id.is_some_and(|id| self.entries.contains_key(&id))
-        };
-        let leads = self
-            .entries
-            .iter()
-            .flat_map(|(id, entry)| entry.leads_to().map(|(by, to)| DeadEnd { entry: *id, by, to }));
-        leads.filter(|lead| !is_there(lead.to)).collect()
-    }
-}
-
-impl<'a> IntoIterator for &'a Table {
-    type Item = (&'a EntryId, &'a Entry);
-    type IntoIter = Iter<'a, EntryId, Entry>;
-    fn into_iter(self) -> Self::IntoIter {
-        self.iter()
-    }
+/// Every link to a missing entry, those of raw commands included.
+pub fn dead_ends(table: &Table) -> Vec<DeadEnd> {
+    let leads =
+        table.iter().flat_map(|(id, entry)| entry.leads_to().map(|(by, to)| DeadEnd { entry: *id, by, to }));
+    leads.filter(|lead| !table.keys().any(|id| i64::from(id.wire()) == lead.to)).collect()
 }
 
 #[cfg(test)]

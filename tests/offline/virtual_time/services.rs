@@ -181,7 +181,7 @@ fn a_transfer_that_is_broken_off_leaves_what_was_there() {
         let old = table(0);
         services.put_table(&old, &mut go_on).unwrap();
         let mut new = table(3);
-        new.remove(id(64));
+        new.remove(&id(64));
         new.insert(id(7), Entry::new("seven", MotionCommand::no_operation(), None).unwrap());
         let mut broken = |progress: Progress| match progress.what == "write" && progress.done >= at {
             true => ControlFlow::Break(()),

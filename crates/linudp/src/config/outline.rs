@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use crate::plan::{DRIVE_PORT, MASTER_PORT};
 use crate::upid::Upid;
-use crate::wire::{REQUEST_MAX, Request, ResponseDef, ResponseView, RtcBlock, RtcCommand, RtcStatus};
+use crate::wire::{ParseError, Request, Response, ResponseDef, RtcBlock, RtcCommand, RtcStatus};
 use fieldbeat_keys::outline::{
     Answer, Found, Known, Line, Outline, RANGE, Search, Unit, Usual, neighbour, own, own_address, probed,
 };
@@ -89,29 +89,26 @@ fn read(socket: &UdpSocket, address: SocketAddrV4, from: Upid) -> Option<u32> {
         (0..8).find_map(|_| {
             let response_def = ResponseDef::STATUS.with(ResponseDef::CONFIG);
             let request = Request { response_def, config: Some(call), ..Request::default() };
-            let mut reply = [0; ROOM];
-            let size = exchange(socket, address, &request, &mut reply)?;
-            let block = ResponseView::new(reply.get(..size)?).ok()?.config()?;
+            let block = exchange(socket, address, &request)?.ok()?.config?;
             let is_done = block.status() == RtcStatus::Done && block.count() == count;
             (is_done && block.index() == from.0).then_some(block.value())
         })
     })
 }
 
-/// A request, and the size of the reply to it.
+/// A request, and the reply to it.
 fn exchange(
     socket: &UdpSocket,
     address: SocketAddrV4,
     request: &Request,
-    reply: &mut [u8; ROOM],
-) -> Option<usize> {
-    let mut bytes = [0; REQUEST_MAX];
+) -> Option<Result<Response, ParseError>> {
+    let mut bytes = [0; ROOM];
     let size = request.emit(&mut bytes);
     socket.send_to(&bytes[..size], address).ok()?;
     // Another drive may answer late; it sends no more than that.
     for _ in 0..8 {
-        match socket.recv_from(reply) {
-            Ok((size, from)) if from == address.into() => return Some(size),
+        match socket.recv_from(&mut bytes) {
+            Ok((size, from)) if from == address.into() => return Some(Response::parse(&bytes[..size])),
             Ok(_) => {}
             Err(_) => return None,
         }
@@ -122,9 +119,9 @@ fn exchange(
 /// Who answers one of so many requests. They have neither a control word nor a command.
 fn ask(socket: &UdpSocket, address: SocketAddrV4, times: usize) -> Answer {
     let request = Request { response_def: ResponseDef::STATUS, ..Request::default() };
-    let mut reply = [0; ROOM];
-    let size = (0..times).find_map(|_| exchange(socket, address, &request, &mut reply));
-    let Some(size) = size else { return Answer::None };
-    let is_status = ResponseView::new(&reply[..size]).is_ok_and(|view| view.status().is_some());
-    if is_status { Answer::Drive("a LinMot") } else { Answer::None }
+    let reply = (0..times).find_map(|_| exchange(socket, address, &request));
+    match reply {
+        Some(Ok(Response { status: Some(_), .. })) => Answer::Drive("a LinMot"),
+        _ => Answer::None,
+    }
 }

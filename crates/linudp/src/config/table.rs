@@ -35,7 +35,7 @@ pub fn parse(text: &str, file: &str) -> Result<table::Table, ConfigErrors> {
 /// The file of a command table: what [`parse`] makes the same table of.
 pub fn to_text(table: &table::Table) -> String {
     let mut text = String::new();
-    if !table.dead_ends().is_empty() {
+    if !table::dead_ends(table).is_empty() {
         text += "# Some entries lead to ones that are not there.\nincomplete = true\n\n";
     }
     if table.is_empty() {
@@ -138,7 +138,7 @@ fn entries_of(mut root: Table<'_>) -> table::Table {
         }
         table.finish();
     }
-    for end in result.dead_ends() {
+    for end in table::dead_ends(&result) {
         // An entry that is there but wrong was reported as that.
         let wrong = places.keys().any(|id| i64::from(id.wire()) == end.to);
         if let (false, false, Some(place)) = (incomplete, wrong, leads.get(&(end.entry, end.by))) {

@@ -46,14 +46,12 @@ impl MotionCommand {
         velocity: SignedVelocity,
         acceleration: SignedAcceleration,
     ) -> MotionCommand {
-        let mut row = MotionCommand::new(command.id()).with(0, position.0 as u32, size_of::<Position>());
-        if command.has_velocity() {
-            row = row.with(4, velocity.0 as u32, size_of::<SignedVelocity>());
-        }
-        if command.has_acceleration() {
-            row = row.with(8, acceleration.0 as u32, size_of::<SignedAcceleration>());
-        }
-        row
+        let row = match (command.has_velocity(), command.has_acceleration()) {
+            (false, _) => MotionCommand::stream_p(position),
+            (true, false) => MotionCommand::stream_pv(position, velocity),
+            (true, true) => MotionCommand::stream_pva(position, velocity, acceleration),
+        };
+        MotionCommand { id: command.id(), ..row }
     }
 
     /// With a field of `size` bytes at `at`.

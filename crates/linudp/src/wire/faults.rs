@@ -4,7 +4,7 @@
 
 use std::fmt;
 
-debug_as_hex!(WarnWord);
+debug_as_hex!(WarnWord, ErrorCode);
 
 /// The warn word (SG5 manual).
 #[derive(Clone, Copy, Default, PartialEq, Eq, Hash)]
@@ -157,12 +157,6 @@ impl ErrorCode {
     /// The error cannot be acknowledged: the drive has to be restarted.
     pub const fn is_fatal(self) -> bool {
         matches!(self.0, 0x000A | 0x000D | 0x0021 | 0x0022 | 0x0045 | 0x0064 | 0x0065 | 0x0067 | 0x0068)
-    }
-}
-
-impl fmt::Debug for ErrorCode {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "ErrorCode({:#06x})", self.0)
     }
 }
 

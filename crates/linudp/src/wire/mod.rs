@@ -70,15 +70,10 @@ mod field {
     /// Bytes of each combination of response blocks 0 ... 7: the offset of a block is one look-up.
     pub const RESPONSE_SUM: [u8; 256] = {
         let mut sums = [0; 256];
-        let mut definition = 0;
+        let mut definition = 1_usize;
         while definition < 256 {
-            let mut bit = 0;
-            while bit < 8 {
-                if definition >> bit & 1 == 1 {
-                    sums[definition] += RESPONSE[bit];
-                }
-                bit += 1;
-            }
+            let without_lowest = definition & (definition - 1);
+            sums[definition] = sums[without_lowest] + RESPONSE[definition.trailing_zeros() as usize];
             definition += 1;
         }
         sums
@@ -174,16 +169,12 @@ impl ResponseDef {
 
     /// Bytes of a whole response to `request`, both definitions included, without padding.
     pub const fn size(self, request: RequestDef) -> usize {
-        self.config_at() + if request.contains(RequestDef::CONFIG) { field::CONFIG } else { 0 }
+        self.at(ResponseDef::CONFIG) + if request.contains(RequestDef::CONFIG) { field::CONFIG } else { 0 }
     }
 
-    /// The offset of one of the blocks 0 ... 7, after those of the lower bits.
+    /// The offset of one of the blocks, after those of the lower bits.
     const fn at(self, block: ResponseDef) -> usize {
         field::HEADER + field::RESPONSE_SUM[(self.0 & (block.0 - 1) & 0xFF) as usize] as usize
-    }
-
-    const fn config_at(self) -> usize {
-        field::HEADER + field::RESPONSE_SUM[(self.0 & 0xFF) as usize] as usize
     }
 }
 

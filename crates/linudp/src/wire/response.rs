@@ -28,7 +28,7 @@ impl<'a> ResponseView<'a> {
         let (request, response) = (RequestDef(request), ResponseDef(response));
         // Without the config block: a drive that leaves it out although it was requested is eight bytes short, not
         // wrong.
-        let need = response.config_at();
+        let need = response.at(ResponseDef::CONFIG);
         if bytes.len() < need {
             return Err(ParseError::TooShort { need, have: bytes.len() });
         }
@@ -111,7 +111,7 @@ impl<'a> ResponseView<'a> {
     /// it.
     #[inline]
     pub fn config(&self) -> Option<RtcBlock> {
-        let block = || chunk(self.bytes, self.response.config_at());
+        let block = || chunk(self.bytes, self.response.at(ResponseDef::CONFIG));
         self.request.contains(RequestDef::CONFIG).then(block)?.map(RtcBlock::from_bytes)
     }
 }

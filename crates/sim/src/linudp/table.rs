@@ -33,7 +33,7 @@ impl Tables {
         if size % 2 == 1 {
             return Err(Refusal::OddAddress);
         }
-        if usize::from(size) != ENTRY_SIZE || self.ram.get(id).is_some() {
+        if usize::from(size) != ENTRY_SIZE || self.ram.contains_key(&id) {
             return Err(Refusal::WrongSize);
         }
         self.incoming = Some(Incoming::new(entry, ENTRY_SIZE));
@@ -55,7 +55,7 @@ impl Tables {
     /// Begins to read an entry: its bytes.
     pub(super) fn open(&mut self, entry: u16) -> Result<u16, Refusal> {
         self.outgoing = None;
-        let found = self.ram.get(id(entry)?).ok_or(Refusal::WrongSize)?;
+        let found = self.ram.get(&id(entry)?).ok_or(Refusal::WrongSize)?;
         self.outgoing = Some(Outgoing::new(entry, found.encode().into()));
         Ok(ENTRY_SIZE as u16)
     }
@@ -68,7 +68,7 @@ impl Tables {
 
     /// Deletes an entry.
     pub(super) fn delete(&mut self, entry: u16) -> Result<(), Refusal> {
-        self.ram.remove(id(entry)?);
+        self.ram.remove(&id(entry)?);
         Ok(())
     }
 
@@ -85,14 +85,14 @@ impl Tables {
 
     /// An entry that may run.
     pub(super) fn get(&self, entry: u16) -> Option<&Entry> {
-        self.ram.get(EntryId::new(entry).ok()?)
+        self.ram.get(&EntryId::new(entry).ok()?)
     }
 
     /// Motion commands 208x, 209x: writes into an entry. A write outside of it, or one that would make it invalid,
     /// is refused as an unknown command (chosen).
     pub(super) fn modify(&mut self, entry: u16, offset: usize, bytes: &[u8]) -> Result<(), ErrorCode> {
         let id = EntryId::new(entry).map_err(|_| ErrorCode::ENTRY_MISSING)?;
-        let mut image = self.ram.get(id).ok_or(ErrorCode::ENTRY_MISSING)?.encode();
+        let mut image = self.ram.get(&id).ok_or(ErrorCode::ENTRY_MISSING)?.encode();
         let place = image.get_mut(offset..).and_then(|place| place.get_mut(..bytes.len()));
         place.ok_or(ErrorCode::UNKNOWN_COMMAND)?.copy_from_slice(bytes);
         self.ram.insert(id, Entry::decode(&image).map_err(|_| ErrorCode::UNKNOWN_COMMAND)?);
