@@ -106,10 +106,8 @@ fn drive(table: &mut Table<'_>, machine: &mut Machine, bind: Option<SocketAddrV4
 /// `pin` reads it.
 fn serial(table: &mut Table<'_>) -> Option<Serial> {
     let number = table.integer("serial", 0..=u32::MAX.into(), "the number in the parameter serial_from");
-    let form = Form::integer(0..=u16::MAX.into()).or(Form::Text(None));
-    let from = table.read("serial_from", form, |value| {
-        let by_number = integer(value).and_then(|number| u16::try_from(number).ok()).map(Upid);
-        by_number.or_else(|| value.as_str().and_then(Upid::parse)).ok_or_else(|| {
+    let from = table.read("serial_from", upid_form(), |value| {
+        upid(integer(value), value.as_str()).ok_or_else(|| {
             "must be the UPID of a parameter of 32 bits with the serial number, like \"0x1234\"".to_owned()
         })
     });
@@ -120,6 +118,16 @@ fn serial(table: &mut Table<'_>) -> Option<Serial> {
         );
     }
     Some(Serial { from: from?, number })
+}
+
+fn upid_form() -> Form {
+    Form::integer(0..=u16::MAX.into()).or(Form::Text(None))
+}
+
+/// The parameter of a number, or of a text.
+fn upid(number: Option<i128>, text: Option<&str>) -> Option<Upid> {
+    let by_number = number.and_then(|number| u16::try_from(number).ok()).map(Upid);
+    by_number.or_else(|| text.and_then(Upid::parse))
 }
 
 /// Which streaming command Follow uses. One that is named must fit the drive's period; where none is named it is the
@@ -136,8 +144,7 @@ fn stream(table: &mut Table<'_>, period_ns: u64) -> Option<StreamCommand> {
 fn monitor(table: &mut Table<'_>) -> Option<MonitorPlan> {
     const FORMS: &str = "must be true, false, or up to four variables like [\"demand-velocity\", \"0x1E10\"] \
         or UPIDs as numbers";
-    let variable = Form::integer(0..=u16::MAX.into()).or(Form::Text(None));
-    let form = Form::Flag.or(variable.list(1, MONITOR_CHANNELS));
+    let form = Form::Flag.or(upid_form().list(1, MONITOR_CHANNELS));
     table.read("monitor", form, |value| {
         if let Some(flag) = value.as_bool() {
             return Ok(if flag { MonitorPlan::AsSet } else { MonitorPlan::Off });
@@ -147,9 +154,7 @@ fn monitor(table: &mut Table<'_>) -> Option<MonitorPlan> {
         let mut sources = [None; MONITOR_CHANNELS];
         for (source, value) in sources.iter_mut().zip(array) {
             let value = value.get_ref();
-            let number = integer(value).and_then(|number| u16::try_from(number).ok()).map(Upid);
-            let upid = number.or_else(|| value.as_str().and_then(Upid::parse));
-            *source = Some(upid.ok_or_else(|| {
+            *source = Some(upid(integer(value), value.as_str()).ok_or_else(|| {
                 match value.as_str().and_then(|text| closest(text, KNOWN.iter().map(|known| known.name))) {
                     Some(name) => format!("has an unknown variable; did you mean \"{name}\"?"),
                     None => FORMS.to_owned(),
@@ -169,23 +174,14 @@ fn reply_within(table: &mut Table<'_>, period_ns: u64) -> Option<u32> {
 fn leash(table: &mut Table<'_>) -> Option<f64> {
     let accepted = table.word("no_drive_watchdog", &[("accept", true), ("refuse", false)]);
     let leash = table.number("leash", POSITIVE, "how far a jog or cyclic velocity runs ahead, in user units");
-    match accepted {
-        Some(true) => {
-            if !table.gives("leash") {
-                table.fault(
-                    "leash",
-                    "missing; \"accept\" needs the distance that a jog may run on if the master dies",
-                );
-            }
-            leash
+    let message = match (accepted, table.gives("leash")) {
+        (Some(true), false) => {
+            "missing; \"accept\" needs the distance that a jog may run on if the master dies"
         }
-        // Said for one drive against the defaults of its bus: no mistake.
-        Some(false) => None,
-        None => {
-            if leash.is_some() {
-                table.fault("leash", "needs no_drive_watchdog = \"accept\"; add that, or leave leash out");
-            }
-            None
-        }
-    }
+        (None, _) if leash.is_some() => "needs no_drive_watchdog = \"accept\"; add that, or leave leash out",
+        // Refused for one drive against the defaults of its bus: no mistake.
+        _ => return leash.filter(|_| accepted == Some(true)),
+    };
+    table.fault("leash", message);
+    None
 }

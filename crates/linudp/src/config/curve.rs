@@ -156,52 +156,57 @@ fn dimension(head: &mut Table<'_>, key: &'static str) -> Option<Dimension> {
 fn length(head: &mut Table<'_>, (_, decimals): Column) -> Option<u32> {
     let longest = value::decimal(u32::MAX.into(), decimals);
     head.read("length", Form::number(0.0..), |value| {
-        let counts = number(value).and_then(|value| counts(value, decimals));
-        counts.and_then(|counts| u32::try_from(counts).ok()).ok_or_else(|| {
-            let whole = if decimals == 0 { "whole " } else { "" };
-            format!("must be a {whole}number, 0 to {longest}, in the unit of the first column")
+        number(value).and_then(|value| counts(value, decimals)).ok_or_else(|| {
+            format!("must be a {}number, 0 to {longest}, in the unit of the first column", whole(decimals))
         })
     })
 }
 
 fn wizard_parameters(head: &mut Table<'_>) -> Option<[u32; 7]> {
     head.read("wizard_parameters", Form::integer(0..=u32::MAX.into()).list(7, 7), |value| {
-        let elements = value.as_array().map(|array| array.iter().map(|element| integer(element.get_ref())));
-        elements
-            .and_then(Iterator::collect::<Option<Vec<i128>>>)
-            .and_then(|list| list.into_iter().map(|value| u32::try_from(value).ok()).collect())
-            .and_then(|list: Vec<u32>| list.try_into().ok())
-            .ok_or_else(|| "must be a list of 7 whole numbers, 0 to 4294967295".into())
+        let number = |element| integer(element).and_then(|number| u32::try_from(number).ok());
+        let list = value.as_array().map(|array| array.iter().map(|element| number(element.get_ref())));
+        let list = list.and_then(Iterator::collect::<Option<Vec<u32>>>).and_then(|list| list.try_into().ok());
+        list.ok_or_else(|| "must be a list of 7 whole numbers, 0 to 4294967295".into())
     })
 }
 
+/// What a number without decimals has to be.
+fn whole(decimals: u32) -> &'static str {
+    if decimals == 0 { "whole " } else { "" }
+}
+
 /// The nearest count of a value in user units; of one without decimals, the value itself or none.
-fn counts(value: f64, decimals: u32) -> Option<i64> {
+fn counts<T: TryFrom<i64>>(value: f64, decimals: u32) -> Option<T> {
     let counts = (value * 10_f64.powi(decimals as i32)).round();
     let exact = decimals > 0 || counts == value;
     // Far more than any wire integer, and far less than what `f64` holds exactly.
-    (exact && counts.abs() < 1e15).then_some(counts as i64)
+    let counts = (exact && counts.abs() < 1e15).then_some(counts as i64)?;
+    T::try_from(counts).ok()
+}
+
+/// The two cells of a line.
+fn cells(line: &str) -> Option<[&str; 2]> {
+    let (x, y) = line.split_once(',')?;
+    (!y.contains(',')).then(|| [x.trim(), y.trim()])
 }
 
 /// Whether the line of columns says what the head says.
 fn has_columns(page: &Page<'_>, (line, text): (usize, &str), expected: [&str; 2]) -> bool {
-    let found: Vec<&str> = text.split(',').map(str::trim).collect();
     let [x, y] = expected;
-    if found.len() != 2 {
+    let Some(found) = cells(text) else {
         let message = format!("must be the two columns {x},{y} with a comma between");
         page.report(Place::in_row(line, "columns", text), message);
         return false;
-    }
-    let mut right = true;
-    for (index, (found, expected)) in found.iter().zip(expected).enumerate() {
+    };
+    for (column, (found, expected)) in (1..).zip(found.iter().zip(expected)) {
         if *found != expected {
             let message =
                 format!("must be {expected}, as in the head; convert the rows if their unit is another");
-            page.report(Place::in_row(line, &format!("column {}", index + 1), found), message);
-            right = false;
+            page.report(Place::in_row(line, &format!("column {column}"), found), message);
         }
     }
-    right
+    found == expected
 }
 
 /// A row that was read.
@@ -222,41 +227,28 @@ fn setpoints<'a>(
     [(x_name, _), (y_name, y_decimals)]: [Column; 2],
 ) -> Option<Vec<Row<'a>>> {
     let [low, high] = [i32::MIN, i32::MAX].map(|bound| value::decimal(bound.into(), y_decimals));
-    let whole = if y_decimals == 0 { "whole " } else { "" };
     let (mut read, mut mistakes) = (Vec::with_capacity(rows.len()), 0);
     for &(line, row) in rows {
-        if read.len() == usize::from(u16::MAX) {
-            page.report(
-                Place::in_row(line, "row", row),
-                "is one too many; a curve has at most 65535 setpoints",
-            );
-            return None;
-        }
-        let mut report = |key, value, message: String| {
+        let mut report = |key, value, message: &str| {
             page.report(Place::in_row(line, key, value), message);
             mistakes += 1;
         };
-        let cells: Vec<&str> = row.split(',').map(str::trim).collect();
-        if let [x_text, y_text] = cells[..] {
+        if read.len() == usize::from(u16::MAX) {
+            report("row", row, "is one too many; a curve has at most 65535 setpoints");
+            return None;
+        }
+        if let Some([x_text, y_text]) = cells(row) {
             let finite = |text: &str| text.parse::<f64>().ok().filter(|value| value.is_finite());
-            let x = finite(x_text);
-            let y = finite(y_text).and_then(|value| counts(value, y_decimals));
-            let setpoint = y.and_then(|counts| i32::try_from(counts).ok());
+            let (x, y) = (finite(x_text), finite(y_text).and_then(|value| counts(value, y_decimals)));
             if x.is_none() {
-                report(x_name, x_text, "must be a number; its decimals have a point".into());
+                report(x_name, x_text, "must be a number; its decimals have a point");
             }
-            if setpoint.is_none() {
-                report(y_name, y_text, format!("must be a {whole}number, {low} to {high}"));
+            if y.is_none() {
+                report(y_name, y_text, &format!("must be a {}number, {low} to {high}", whole(y_decimals)));
             }
-            if let (Some(x), Some(setpoint)) = (x, setpoint) {
-                read.push(Row { line, text: x_text, x, setpoint });
-            }
+            read.extend(x.zip(y).map(|(x, setpoint)| Row { line, text: x_text, x, setpoint }));
         } else {
-            report(
-                "row",
-                row,
-                "must be two numbers with a comma between; their decimals have a point".into(),
-            );
+            report("row", row, "must be two numbers with a comma between; their decimals have a point");
         }
         if mistakes >= MOST_MISTAKES {
             return None;
