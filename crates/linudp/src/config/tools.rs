@@ -155,24 +155,19 @@ impl LinMot {
             What::Commands(commands) => commands.run(program),
             What::Curve(does) => does.run(program),
             What::Table(does) => does.run(program),
-            What::Errors(shown) => {
-                with(&shown.drive, program, |services| errors(program, services, shown.json))
+            What::Errors(Shown { drive, json }) => with(&drive, program, |desk| desk.errors(json)),
+            What::Restart(drive) => {
+                with(&drive, program, |desk| desk.done(desk.services.restart(), "restarts"))
             }
-            What::Restart(drive) => with(&drive, program, |services| {
-                services.restart()?;
-                done(program, services, "restarts")
+            What::Software(SoftwareDoes::Stop(drive)) => with(&drive, program, |desk| {
+                desk.done(desk.services.stop_software(), "its software is stopped")
             }),
-            What::Software(SoftwareDoes::Stop(drive)) => with(&drive, program, |services| {
-                services.stop_software()?;
-                done(program, services, "its software is stopped")
+            What::Software(SoftwareDoes::Start(drive)) => with(&drive, program, |desk| {
+                desk.done(desk.services.start_software(), "its software runs; home it")
             }),
-            What::Software(SoftwareDoes::Start(drive)) => with(&drive, program, |services| {
-                services.start_software()?;
-                done(program, services, "its software runs; home it")
-            }),
-            What::Defaults(defaults) => with(&defaults.drive, program, |services| {
-                services.reset_to_default(defaults.part)?;
-                done(program, services, "the defaults take effect after a restart; home it")
+            What::Defaults(Defaults { drive, part }) => with(&drive, program, |desk| {
+                let reset = desk.services.reset_to_default(part);
+                desk.done(reset, "the defaults take effect after a restart; home it")
             }),
         }
     }
@@ -181,38 +176,23 @@ impl LinMot {
 impl CurveDoes {
     fn run(self, program: &dyn Program) -> Result<(), Stop> {
         match self {
-            CurveDoes::List(shown) => with(&shown.drive, program, |services| {
-                let ids = services.curves()?;
-                list(program, shown.json, ids, "no curve")
-            }),
+            CurveDoes::List(Shown { drive, json }) => {
+                with(&drive, program, |desk| desk.list(json, desk.services.curves()?, "no curve"))
+            }
             CurveDoes::Get(CurveGet { get, id }) => {
                 get.check(program)?;
-                with(&get.drive, program, |services| {
-                    let id = match id {
-                        Some(id) => id,
-                        None => only(services)?,
-                    };
-                    let curve = services.curve(id, &mut *program.meter())?;
-                    let Some(curve) = curve else {
-                        let drive = services.drive();
-                        return Err(Stop::failed(format!("drive {drive} has no curve {id}")));
-                    };
-                    let text = curve_file::to_text(&curve).map_err(Stop::failed)?;
-                    get.write(program, &text)?;
-                    let setpoints = curve.setpoints.len();
-                    program.print(&format_args!("curve {id}, {setpoints} setpoints: {}", get.file.display()))
-                })
+                with(&get.drive, program, |desk| desk.get_curve(&get, id))
             }
             CurveDoes::Put(put) => {
                 let curve = put.read(curve_file::load)?;
-                with(&put.drive, program, |services| put_curve(program, services, &curve, &put))
+                with(&put.drive, program, |desk| desk.put_curve(&curve, put.save))
             }
-            CurveDoes::Delete(drive) => with(&drive, program, |services| {
-                services.require_off("deleting its curves")?;
-                services.delete_curves()?;
-                done(program, services, "has no curves in RAM; a restart loads those in flash again")
+            CurveDoes::Delete(drive) => with(&drive, program, |desk| {
+                desk.services.require_off("deleting its curves")?;
+                let deleted = desk.services.delete_curves();
+                desk.done(deleted, "has no curves in RAM; a restart loads those in flash again")
             }),
-            CurveDoes::Save(drive) => with(&drive, program, |services| save_curves(program, services)),
+            CurveDoes::Save(drive) => with(&drive, program, |desk| desk.save_curves()),
         }
     }
 }
@@ -220,43 +200,49 @@ impl CurveDoes {
 impl TableDoes {
     fn run(self, program: &dyn Program) -> Result<(), Stop> {
         match self {
-            TableDoes::List(shown) => with(&shown.drive, program, |services| {
-                let ids = services.entries()?;
-                list(program, shown.json, ids.iter().map(|id| id.wire()).collect(), "no entry")
+            TableDoes::List(Shown { drive, json }) => with(&drive, program, |desk| {
+                let ids = desk.services.entries()?;
+                desk.list(json, ids.iter().map(|id| id.wire()).collect(), "no entry")
             }),
             TableDoes::Get(get) => {
                 get.check(program)?;
-                with(&get.drive, program, |services| {
-                    let table = services.table(&mut *program.meter())?;
+                with(&get.drive, program, |desk| {
+                    let table = desk.services.table(&mut *program.meter())?;
                     get.write(program, &table_file::to_text(&table))?;
                     program.print(&format_args!("{} entries: {}", table.len(), get.file.display()))
                 })
             }
             TableDoes::Put(put) => {
                 let table = put.read(table_file::load)?;
-                with(&put.drive, program, |services| {
-                    services.require_off("writing its command table")?;
-                    services.put_table(&table, &mut *program.meter())?;
+                with(&put.drive, program, |desk| {
+                    desk.services.require_off("writing its command table")?;
+                    desk.services.put_table(&table, &mut *program.meter())?;
                     program
                         .print(&format_args!("{} entries are in RAM, read back and compared", table.len()))?;
-                    if put.save { save_table(program, services) } else { Ok(()) }
+                    if put.save { desk.save_table() } else { Ok(()) }
                 })
             }
-            TableDoes::Delete(drive) => with(&drive, program, |services| {
-                services.require_off("deleting its command table")?;
-                services.delete_table()?;
-                done(program, services, "has no entries in RAM; a restart loads those in flash again")
+            TableDoes::Delete(drive) => with(&drive, program, |desk| {
+                desk.services.require_off("deleting its command table")?;
+                let deleted = desk.services.delete_table();
+                desk.done(deleted, "has no entries in RAM; a restart loads those in flash again")
             }),
-            TableDoes::Save(drive) => with(&drive, program, |services| save_table(program, services)),
+            TableDoes::Save(drive) => with(&drive, program, |desk| desk.save_table()),
         }
     }
+}
+
+/// The services of a drive, and the program that says what they did.
+struct Desk<'a> {
+    program: &'a dyn Program,
+    services: Services<'a>,
 }
 
 /// Does something with the services of a drive.
 fn with(
     drive: &Drive,
     program: &dyn Program,
-    what: impl FnOnce(&Services<'_>) -> Result<(), Stop>,
+    what: impl FnOnce(&Desk<'_>) -> Result<(), Stop>,
 ) -> Result<(), Stop> {
     let reach = program.reach(drive)?;
     let access = reach.access();
@@ -264,106 +250,109 @@ fn with(
     if own != crate::PROTOCOL {
         return Err(Stop::usage(format!("drive {} speaks {own}, not {}", access.drive, crate::PROTOCOL)));
     }
-    let services = Services::over(access.drive, access.carrier)?;
-    what(&services)
+    what(&Desk { program, services: Services::over(access.drive, access.carrier)? })
 }
 
-fn done(program: &dyn Program, services: &Services<'_>, what: &str) -> Result<(), Stop> {
-    program.print(&format_args!("drive {}: {what}", services.drive()))
-}
-
-fn list(program: &dyn Program, as_json: bool, ids: Vec<u16>, none: &str) -> Result<(), Stop> {
-    if as_json {
-        return program.print(&json!(ids));
+impl Desk<'_> {
+    /// Says what is so, once something was done.
+    fn done(&self, result: Result<(), ServiceError>, what: &str) -> Result<(), Stop> {
+        result?;
+        self.program.print(&format_args!("drive {}: {what}", self.services.drive()))
     }
-    match ids.is_empty() {
-        true => program.print(&none),
-        false => ids.iter().try_for_each(|id| program.print(id)),
-    }
-}
 
-/// The number of the one curve that the drive has.
-fn only(services: &Services<'_>) -> Result<u16, Stop> {
-    let (ids, drive) = (services.curves()?, services.drive());
-    match ids.as_slice() {
-        [id] => Ok(*id),
-        [] => Err(Stop::failed(format!("drive {drive} has no curve"))),
-        several => {
-            let known: Vec<String> = several.iter().map(u16::to_string).collect();
-            Err(Stop::usage(format!("drive {drive} has curves {}; name one with --id", known.join(", "))))
+    fn list(&self, as_json: bool, ids: Vec<u16>, none: &str) -> Result<(), Stop> {
+        match ids.is_empty() {
+            _ if as_json => self.program.print(&json!(ids)),
+            true => self.program.print(&none),
+            false => ids.iter().try_for_each(|id| self.program.print(id)),
         }
     }
-}
 
-fn put_curve(program: &dyn Program, services: &Services<'_>, curve: &Curve, put: &Put) -> Result<(), Stop> {
-    services.require_off("writing a curve")?;
-    if services.plan_curve(curve)? == CurvePut::Rebuild {
-        program.complain(&format!(
-            "drive {} has a curve {} of another size, and can only delete all curves at once: the others are \
-             read first and written again afterwards. If this computer fails meanwhile, restart the drive: \
-             it loads the curves in its flash, and curves that were not saved are lost",
-            services.drive(),
-            curve.id
+    fn get_curve(&self, get: &Get, id: Option<u16>) -> Result<(), Stop> {
+        let (program, drive) = (self.program, self.services.drive());
+        let id = id.map_or_else(|| self.only_curve(), Ok)?;
+        let curve = self.services.curve(id, &mut *program.meter())?;
+        let curve = curve.ok_or_else(|| Stop::failed(format!("drive {drive} has no curve {id}")))?;
+        let text = curve_file::to_text(&curve).map_err(Stop::failed)?;
+        get.write(program, &text)?;
+        let setpoints = curve.setpoints.len();
+        program.print(&format_args!("curve {id}, {setpoints} setpoints: {}", get.file.display()))
+    }
+
+    /// The number of the one curve that the drive has.
+    fn only_curve(&self) -> Result<u16, Stop> {
+        let (ids, drive) = (self.services.curves()?, self.services.drive());
+        match ids.as_slice() {
+            [id] => Ok(*id),
+            [] => Err(Stop::failed(format!("drive {drive} has no curve"))),
+            several => {
+                let known: Vec<String> = several.iter().map(u16::to_string).collect();
+                Err(Stop::usage(format!("drive {drive} has curves {}; name one with --id", known.join(", "))))
+            }
+        }
+    }
+
+    fn put_curve(&self, curve: &Curve, save: bool) -> Result<(), Stop> {
+        let Desk { program, services } = self;
+        services.require_off("writing a curve")?;
+        if services.plan_curve(curve)? == CurvePut::Rebuild {
+            program.complain(&format!(
+                "drive {} has a curve {} of another size, and can only delete all curves at once: the others are \
+                 read first and written again afterwards. If this computer fails meanwhile, restart the drive: \
+                 it loads the curves in its flash, and curves that were not saved are lost",
+                services.drive(),
+                curve.id
+            ));
+        }
+        services.put_curve(curve, &mut *program.meter())?;
+        let (id, setpoints) = (curve.id, curve.setpoints.len());
+        program
+            .print(&format_args!("curve {id}, {setpoints} setpoints, is in RAM, read back and compared"))?;
+        if save { self.save_curves() } else { Ok(()) }
+    }
+
+    fn save_curves(&self) -> Result<(), Stop> {
+        self.save(|| self.services.save_curves(), "its curves are in flash")
+    }
+
+    fn save_table(&self) -> Result<(), Stop> {
+        self.save(|| self.services.save_table(), "its command table is in flash")
+    }
+
+    /// Of a drive that may be saved, so that nobody is announced a save that is refused.
+    fn save(&self, save: impl FnOnce() -> Result<Saved, ServiceError>, what: &str) -> Result<(), Stop> {
+        self.services.require_off("saving to flash")?;
+        self.program.complain(&format!(
+            "drive {} saves to flash: it may be silent for minutes; leave its power on, the save cannot be \
+             interrupted",
+            self.services.drive()
         ));
+        let then = match save()? {
+            Saved::Acknowledged => "; home it",
+            Saved::Silently => {
+                " as far as can be seen: it fell silent and came back without an error code; restart it and check"
+            }
+        };
+        self.done(Ok(()), &format!("{what}{then}"))
     }
-    services.put_curve(curve, &mut *program.meter())?;
-    let setpoints = curve.setpoints.len();
-    program.print(&format_args!(
-        "curve {}, {setpoints} setpoints, is in RAM, read back and compared",
-        curve.id
-    ))?;
-    if put.save { save_curves(program, services) } else { Ok(()) }
-}
 
-fn save_curves(program: &dyn Program, services: &Services<'_>) -> Result<(), Stop> {
-    save_to_flash(program, services, Services::save_curves, "its curves are in flash")
-}
-
-fn save_table(program: &dyn Program, services: &Services<'_>) -> Result<(), Stop> {
-    save_to_flash(program, services, Services::save_table, "its command table is in flash")
-}
-
-/// Of a drive that may be saved, so that nobody is announced a save that is refused.
-fn save_to_flash<'a>(
-    program: &dyn Program,
-    services: &Services<'a>,
-    save: fn(&Services<'a>) -> Result<Saved, ServiceError>,
-    what: &str,
-) -> Result<(), Stop> {
-    services.require_off("saving to flash")?;
-    program.complain(&format!(
-        "drive {} saves to flash: it may be silent for minutes; leave its power on, the save cannot be \
-         interrupted",
-        services.drive()
-    ));
-    let then = match save(services)? {
-        Saved::Acknowledged => "; home it",
-        Saved::Silently => {
-            " as far as can be seen: it fell silent and came back without an error code; restart it and check"
+    fn errors(&self, as_json: bool) -> Result<(), Stop> {
+        let (program, log) = (self.program, self.services.error_log()?);
+        if as_json {
+            let entry = |LoggedError { code, text, hours, ms }: &LoggedError| json!({ "code": code, "text": text, "hours": hours, "ms": ms });
+            let entries: Vec<_> = log.entries.iter().map(entry).collect();
+            return program
+                .print(&json!({ "logged": log.logged, "occurred": log.occurred, "entries": entries }));
         }
-    };
-    done(program, services, &format!("{what}{then}"))
-}
-
-fn errors(program: &dyn Program, services: &Services<'_>, as_json: bool) -> Result<(), Stop> {
-    let log = services.error_log()?;
-    if as_json {
-        let mut entries = Vec::new();
+        program.print(&format_args!("{} errors occurred, {} are logged", log.occurred, log.logged))?;
         for LoggedError { code, text, hours, ms } in &log.entries {
-            entries.push(json!({ "code": code, "text": text, "hours": hours, "ms": ms }));
+            let (minutes, seconds) = (ms / 60_000, f64::from(ms % 60_000) / 1e3);
+            program.print(&format_args!(
+                "{hours:>6} h {minutes:02} min {seconds:06.3} s  {code:04X}h  {text}"
+            ))?;
         }
-        return program.print(&json!({ "logged": log.logged, "occurred": log.occurred, "entries": entries }));
+        Ok(())
     }
-    program.print(&format_args!("{} errors occurred, {} are logged", log.occurred, log.logged))?;
-    for entry in &log.entries {
-        let (minutes, ms) = (entry.ms / 60_000, entry.ms % 60_000);
-        let seconds = f64::from(ms) / 1e3;
-        program.print(&format_args!(
-            "{:>6} h {minutes:02} min {seconds:06.3} s  {:04X}h  {}",
-            entry.hours, entry.code, entry.text
-        ))?;
-    }
-    Ok(())
 }
 
 impl Get {
