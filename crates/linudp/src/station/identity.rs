@@ -43,8 +43,7 @@ pub(super) struct Identity {
     in_turn: [ResponseDef; 1 << IN_TURN.len()],
     turns: u8,
     turn: u8,
-    /// An exchange was opened and no reply closed it.
-    open: bool,
+    last: Last,
     /// Replies to earlier requests that may still come: such a one is late and no duplicate.
     under_way: u8,
     /// Those among them that have no reply yet, by their definitions that take turns, or by their counts: a bit each.
@@ -57,12 +56,9 @@ pub(super) struct Identity {
     mistakable: u8,
     /// Exchanges without a miss since the last one.
     without_miss: u8,
-    /// The reply that closed the last exchange was suspect.
-    suspect: bool,
-    /// A reply was suspect: the next request that is built differs from those before it.
+    /// A reply was suspect: the next request that is built differs from those before it. Its reply cannot be mistaken
+    /// for theirs, which may still come.
     odd_due: bool,
-    /// So does the last request: its reply cannot be mistaken for theirs, which may still come.
-    odd_requested: bool,
     /// The blocks by which the requests of one kind differ.
     varies: ResponseDef,
     /// The block that a request behind a suspect reply has or lacks.
@@ -73,6 +69,23 @@ pub(super) struct Identity {
     /// Exchanges that were owed when the next request left, oldest first, so many of them: they may be over since.
     earlier: [EarlierRequest; MOST_EARLIER],
     earlier_count: u8,
+}
+
+/// The last exchange.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Last {
+    /// No reply has closed it.
+    Open,
+    /// A reply has.
+    Closed,
+    /// A suspect one has.
+    Suspect,
+}
+
+impl Last {
+    fn answered(suspect: bool) -> Last {
+        if suspect { Last::Suspect } else { Last::Closed }
+    }
 }
 
 /// A request whose reply may come after newer ones have left.
@@ -143,15 +156,13 @@ impl Identity {
             requested_before: [Echo::default(); 3],
             earlier: [EarlierRequest::default(); MOST_EARLIER],
             earlier_count: 0,
-            open: false,
+            last: Last::Closed,
             under_way: 0,
             unanswered: 0,
             older: 0,
             mistakable: 0,
             without_miss: 0,
-            suspect: false,
             odd_due: false,
-            odd_requested: false,
         }
     }
 
@@ -167,15 +178,12 @@ impl Identity {
     /// The prepared request has gone out.
     #[inline]
     pub(super) fn sent(&mut self) {
-        if self.open || self.suspect || self.under_way > 0 || self.without_miss < FORGOTTEN_AFTER {
+        if self.last != Last::Closed || self.under_way > 0 || self.without_miss < FORGOTTEN_AFTER {
             self.count();
         }
-        (self.open, self.suspect, self.odd_requested) = (true, false, false);
-        if self.odd_due {
-            // The prepared one may have been built before that was known.
-            self.odd_requested = self.is_odd(self.prepared);
-            self.odd_due = !self.odd_requested;
-        }
+        self.last = Last::Open;
+        // The prepared one may have been built before that was known.
+        self.odd_due = self.odd_due && !self.is_odd(self.prepared);
         // A power of two.
         self.turn = (self.turn + 1) & (self.turns - 1);
         if !self.is_same_kind(self.requested, self.prepared) {
@@ -188,7 +196,7 @@ impl Identity {
     /// The replies that may still be under way as the next request goes out.
     #[inline(never)]
     fn count(&mut self) {
-        if self.open {
+        if self.is_open() {
             self.unanswered |= self.bit(self.turn.wrapping_sub(1) & (self.turns - 1), self.requested.tag);
             self.under_way = (self.under_way + 1).min(MOST_UNDER_WAY);
             self.mistakable = (self.mistakable + 1).min(MOST_UNDER_WAY);
@@ -224,7 +232,7 @@ impl Identity {
 
     /// The last exchange has no reply yet.
     pub(super) fn is_open(&self) -> bool {
-        self.open
+        self.last == Last::Open
     }
 
     /// The reply can be that to the last request.
@@ -237,8 +245,8 @@ impl Identity {
     #[inline]
     pub(super) fn answered(&mut self) -> bool {
         let named = self.requested.tag.is_some();
-        let suspect = !named && !self.odd_requested && self.mistakable >= self.turns;
-        (self.open, self.suspect) = (false, suspect);
+        let suspect = !named && self.mistakable >= self.turns && !self.is_odd(self.requested);
+        self.last = Last::answered(suspect);
         if suspect {
             self.odd_due = true;
         } else if !named {
@@ -281,11 +289,11 @@ impl Identity {
             // One at a time: of two their replies could be mistaken.
             let earlier = &self.earlier[..usize::from(self.earlier_count)];
             let is_odd_owed = earlier.iter().any(|earlier| self.is_odd(earlier.echo));
-            self.odd_due |= !(is_odd_owed || self.open && self.odd_requested);
+            self.odd_due |= !(is_odd_owed || self.is_open() && self.is_odd(self.requested));
         }
-        if self.open && echo == self.requested {
+        if self.is_open() && echo == self.requested {
             // No request has left since.
-            (self.open, self.suspect) = (false, suspect);
+            self.last = Last::answered(suspect);
             if !suspect {
                 self.mistakable = 0;
             }
@@ -314,22 +322,23 @@ impl Identity {
     /// A reply that closes no exchange in its window.
     pub(super) fn unrequested(&mut self, view: &ResponseView<'_>, in_window: bool) -> Unrequested {
         let answers = self.is_answered_by(view);
-        if answers && in_window && self.suspect {
+        if answers && in_window && self.last == Last::Suspect {
             // Two replies in one window: the first was a late one. This one is the requested reply, unless there may be
             // more of them.
             self.take_late(0);
-            self.suspect = self.mistakable >= self.turns;
-            self.odd_due |= self.suspect;
-            return Unrequested::Second { suspect: self.suspect };
+            let suspect = self.mistakable >= self.turns;
+            self.last = Last::answered(suspect);
+            self.odd_due |= suspect;
+            return Unrequested::Second { suspect };
         }
-        let named = self.requested.tag.is_some() || (self.turns > 1 && !self.suspect);
+        let named = self.requested.tag.is_some() || (self.turns > 1 && self.last != Last::Suspect);
         if !self.knows(Echo { request: view.request_def(), response: view.response_def(), tag: None }) {
             return Unrequested::Foreign;
         }
-        if answers && self.open {
+        if answers && self.is_open() {
             // The reply to the last request, after its window. It may arrive in the window of a cycle in which none
             // was due. The exchange was missed all the same.
-            (self.open, self.suspect) = (false, false);
+            self.last = Last::Closed;
             self.without_miss = 0;
             return Unrequested::Late;
         }

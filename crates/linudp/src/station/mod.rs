@@ -269,9 +269,7 @@ impl Station {
                 let suspect = self.identity.answered();
                 slot.exchange = Exchange::Answered { sent_at, at, suspect };
                 slot.counters.answered += 1;
-                if suspect {
-                    slot.counters.suspect += 1;
-                }
+                slot.counters.suspect += u64::from(suspect);
                 self.read(sent_at, at, &view, suspect, None, slot);
             }
             _ => self.unrequested(at, &view, in_window, slot),
