@@ -33,7 +33,7 @@ pub(super) struct MotionChannel {
     pending: bool,
     /// A request with it has gone out.
     sent: bool,
-    /// A clean reply had its echo.
+    /// A clean reply had its echo: the drive has taken the command, and may have replaced it since.
     echoed: bool,
     /// Clean replies without it since the last one with it, or since it was sent with this count.
     answers: u32,
@@ -87,19 +87,9 @@ impl MotionChannel {
         }
     }
 
-    /// No command is under way: there is none, or the drive has it.
-    pub(super) fn is_free(&self) -> bool {
-        self.command.is_none() || self.is_accepted()
-    }
-
     /// The last clean reply had the echo of the command.
     pub(super) fn is_accepted(&self) -> bool {
-        self.has_echo() && self.answers == 0
-    }
-
-    /// The drive has taken the command, and may have replaced it since.
-    fn has_echo(&self) -> bool {
-        self.pending && self.echoed
+        self.echoed && self.answers == 0
     }
 
     /// Takes the echo of a reply, `clean` if it can be no older one, `foreign` if this master has not used it lately.
@@ -160,11 +150,12 @@ impl MotionChannel {
             return self.take(echo, clean, foreign);
         }
         self.reported = Some(echo);
-        self.clashes |= self.count == Some(echo) && !self.has_echo();
+        self.clashes |= self.count == Some(echo) && !self.echoed;
         Ok(())
     }
 
-    /// No request carries a command, and another reply with the same count changes nothing.
+    /// No command is under way, there is none or the drive has it: no request carries one, and another reply with the same
+    /// count changes nothing.
     pub(super) fn is_settled(&self) -> bool {
         self.command.is_none() || self.is_accepted()
     }
@@ -172,7 +163,7 @@ impl MotionChannel {
     /// The block of the next request.
     pub(super) fn block(&self) -> Option<MotionBlock> {
         self.command
-            .filter(|_| !self.has_echo() || self.repeats)
+            .filter(|_| !self.echoed || self.repeats)
             .map(|command| command.block(self.count.unwrap_or(0)))
     }
 }

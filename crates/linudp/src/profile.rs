@@ -417,7 +417,7 @@ impl State {
         if self.refused.is_some() {
             return;
         }
-        let free = self.channel.is_free() || inputs.state.count().is_none();
+        let free = self.channel.is_settled() || inputs.state.count().is_none();
         let Some(output) = native.peek().filter(|output| free || output.motion.is_none()) else { return };
         self.native_taken = self.native_taken.wrapping_add(1);
         if output.motion.is_some_and(|command| command.id == MotionCommand::reset_firmware().id) {

@@ -304,47 +304,32 @@ pub enum Variant {
 }
 
 impl Variant {
-    const WORDS: [(&'static str, Variant); 6] = [
-        ("ram", Variant::Ram),
-        ("rom", Variant::Rom),
-        ("both", Variant::Both),
-        ("min", Variant::Minimum),
-        ("max", Variant::Maximum),
-        ("default", Variant::Default),
+    /// Each with its word, and the commands that read and write it.
+    const ALL: [(Variant, &'static str, Option<RtcCommand>, Option<RtcCommand>); 6] = [
+        (Variant::Ram, "ram", Some(RtcCommand::READ_RAM), Some(RtcCommand::WRITE_RAM)),
+        (Variant::Rom, "rom", Some(RtcCommand::READ_ROM), Some(RtcCommand::WRITE_ROM)),
+        (Variant::Both, "both", None, Some(RtcCommand::WRITE_BOTH)),
+        (Variant::Minimum, "min", Some(RtcCommand::READ_MINIMUM), None),
+        (Variant::Maximum, "max", Some(RtcCommand::READ_MAXIMUM), None),
+        (Variant::Default, "default", Some(RtcCommand::READ_DEFAULT), None),
     ];
 
     /// The command that reads it.
     pub const fn read(self) -> Option<RtcCommand> {
-        match self {
-            Variant::Ram => Some(RtcCommand::READ_RAM),
-            Variant::Rom => Some(RtcCommand::READ_ROM),
-            Variant::Both => None,
-            Variant::Minimum => Some(RtcCommand::READ_MINIMUM),
-            Variant::Maximum => Some(RtcCommand::READ_MAXIMUM),
-            Variant::Default => Some(RtcCommand::READ_DEFAULT),
-        }
+        Variant::ALL[self as usize].2
     }
 
     /// The command that writes it.
     pub const fn write(self) -> Option<RtcCommand> {
-        match self {
-            Variant::Ram => Some(RtcCommand::WRITE_RAM),
-            Variant::Rom => Some(RtcCommand::WRITE_ROM),
-            Variant::Both => Some(RtcCommand::WRITE_BOTH),
-            Variant::Minimum | Variant::Maximum | Variant::Default => None,
-        }
+        Variant::ALL[self as usize].3
     }
 }
 
 /// A UPID and one of its values, as people write them.
 pub fn address(text: &str) -> Option<(Upid, Variant)> {
-    let (upid, variant) = match text.rsplit_once('.') {
-        Some((upid, word)) => {
-            (upid, Variant::WORDS.iter().find(|(known, _)| *known == word).map(|(_, variant)| *variant)?)
-        }
-        None => (text, Variant::Ram),
-    };
-    Some((Upid::parse(upid)?, variant))
+    let (upid, word) = text.rsplit_once('.').unwrap_or((text, "ram"));
+    let (variant, ..) = Variant::ALL.iter().find(|(_, known, ..)| *known == word)?;
+    Some((Upid::parse(upid)?, *variant))
 }
 
 /// A call on the real-time-config channel: command, word 2, words 3 and 4.

@@ -67,7 +67,7 @@ fn only_a_clean_reply_to_a_request_with_the_command_is_its_echo() {
     channel.take(4, false, false).unwrap();
     assert!(!channel.is_accepted());
     channel.take(4, true, false).unwrap();
-    assert!(channel.is_accepted() && channel.is_free());
+    assert!(channel.is_accepted() && channel.is_settled());
     assert_eq!(count(&channel), None);
 }
 
@@ -75,7 +75,7 @@ fn only_a_clean_reply_to_a_request_with_the_command_is_its_echo() {
 fn a_command_that_another_one_has_replaced_is_repeated_with_its_count() {
     let mut channel = commanded(3);
     assert!(!after(&mut channel, &[4, 2]), "an old request, or an old reply, was delivered once more");
-    assert_eq!((channel.is_accepted(), channel.is_free(), count(&channel)), (false, false, Some(4)));
+    assert_eq!((channel.is_accepted(), channel.is_settled(), count(&channel)), (false, false, Some(4)));
     assert!(after(&mut channel, &[4]));
     assert_eq!(count(&channel), None);
     // What has replaced it stays.

@@ -1,5 +1,6 @@
 //! Which streaming commands there are: what their setpoints carry, and the periods that they take.
 
+use super::CommandInfo;
 use fieldbeat_core::time::{MS, US};
 
 /// The streaming commands of the motion command interface (SG5 manual, 030x ... 035x).
@@ -30,25 +31,16 @@ impl StreamCommand {
         StreamCommand::PvaConfigured,
     ];
 
-    /// Its word in the configuration.
-    pub const fn name(self) -> &'static str {
-        match self {
-            StreamCommand::P => "p",
-            StreamCommand::Pv => "pv",
-            StreamCommand::PConfigured => "p-configured",
-            StreamCommand::PvConfigured => "pv-configured",
-            StreamCommand::Pva => "pva",
-            StreamCommand::PvaConfigured => "pva-configured",
-        }
+    /// Its word in the configuration: what is behind `stream-` in its name as a command.
+    pub fn name(self) -> &'static str {
+        CommandInfo::of(self.id()).and_then(|info| info.name.strip_prefix("stream-")).unwrap_or_default()
     }
 
     /// The shortest and the longest time between two setpoints that the drive takes, ns (SG5 manual, 030x ... 035x).
     pub const fn period_range_ns(self) -> (u64, u64) {
         match self {
             StreamCommand::P | StreamCommand::Pv | StreamCommand::PConfigured => (2 * MS, 5 * MS),
-            StreamCommand::PvConfigured | StreamCommand::Pva | StreamCommand::PvaConfigured => {
-                (400 * US, 10 * MS)
-            }
+            _ => (400 * US, 10 * MS),
         }
     }
 
@@ -80,9 +72,7 @@ impl StreamCommand {
 
     /// The time base is the period configured in the drive (UPID 14E6h), not the instant at which it receives.
     pub const fn has_configured_period(self) -> bool {
-        matches!(
-            self,
-            StreamCommand::PConfigured | StreamCommand::PvConfigured | StreamCommand::PvaConfigured
-        )
+        use StreamCommand::{PConfigured, PvConfigured, PvaConfigured};
+        matches!(self, PConfigured | PvConfigured | PvaConfigured)
     }
 }

@@ -202,9 +202,7 @@ impl Station {
             Some(block) => self.rtc.take(block, is_earlier),
             None => self.rtc.take_none(is_earlier),
         }
-        if let Some(refused) = self.rtc.take_monitor_refusal() {
-            slot.notices.monitor_refused = Some(refused);
-        }
+        slot.notices.monitor_refused = self.rtc.take_monitor_refusal().or(slot.notices.monitor_refused);
     }
 }
 
