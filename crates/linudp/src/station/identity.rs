@@ -32,7 +32,7 @@ const MOST_UNDER_WAY: u8 = 32;
 const FORGOTTEN_AFTER: u8 = 16;
 
 /// What distinguishes the reply to the last request from any other. What each exchange touches comes first.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 #[repr(C)]
 pub(super) struct Identity {
     /// What the reply to the prepared request will echo.
@@ -72,11 +72,12 @@ pub(super) struct Identity {
 }
 
 /// The last exchange.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 enum Last {
     /// No reply has closed it.
     Open,
     /// A reply has.
+    #[default]
     Closed,
     /// A suspect one has.
     Suspect,
@@ -148,21 +149,9 @@ impl Identity {
         Identity {
             in_turn: std::array::from_fn(turned),
             turns: 1 << blocks.len(),
-            turn: 0,
             odd,
             varies,
-            prepared: Echo::default(),
-            requested: Echo::default(),
-            requested_before: [Echo::default(); 3],
-            earlier: [EarlierRequest::default(); MOST_EARLIER],
-            earlier_count: 0,
-            last: Last::Closed,
-            under_way: 0,
-            unanswered: 0,
-            older: 0,
-            mistakable: 0,
-            without_miss: 0,
-            odd_due: false,
+            ..Identity::default()
         }
     }
 
