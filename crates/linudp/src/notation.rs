@@ -6,8 +6,7 @@ use super::service::{ServiceError, Services};
 use super::upid::{Known, Type, Upid, Usage, Variant, address, call};
 use super::wire::{Refusal, RtcCommand};
 use fieldbeat_core::axis::acyclic::{
-    Access, Call, ListError, Listed, Listing, Notation, NotationError, Quantity, Wanted, Watcher, go_on,
-    shown,
+    Call, ListError, Listed, Listing, Notation, NotationError, Quantity, Wanted, go_on, shown,
 };
 
 const FORM: &str =
@@ -148,42 +147,34 @@ impl Notation for Upids {
             return Err(ListError::Wanted(format!("--from {from}: not a UPID; write 0x1450, or a name")));
         };
         let (is_modified, values) = (wanted.modified, wanted.values);
-        Ok(Listing::Read(Box::new(move |access, watch| match is_modified {
-            true => modified(access, watch, first),
-            false => all(access, watch, first, values),
+        Ok(Listing::Read(Box::new(move |access, watch| {
+            let services = Services::over(access.drive, access.carrier)?;
+            if is_modified {
+                // With their value in flash, which is not the default.
+                let items = services.modified_upids(first, watch)?;
+                return Ok(items.into_iter().map(|(upid, raw)| listed(upid, None, Some(raw))).collect());
+            }
+            let items = services.upids(first, watch)?;
+            let mut rows = Vec::with_capacity(items.len());
+            for (done, item) in items.iter().enumerate() {
+                let mut row = listed(item.upid, Some(item.usage), None);
+                if values && item.usage.has(Usage::RAM_READ) {
+                    go_on(access, watch, done, items.len())?;
+                    row.raw = Some(access.read(&row.address)?);
+                }
+                rows.push(row);
+            }
+            Ok(rows)
         })))
     }
 }
 
-/// Those from `first` on that the drive names, if wanted with the values of those that can be read.
-fn all(access: Access<'_>, watch: Watcher<'_>, first: Upid, values: bool) -> Result<Vec<Listed>, ListError> {
-    let services = Services::over(access.drive, access.carrier)?;
-    let items = services.upids(first, watch)?;
-    let mut rows = Vec::with_capacity(items.len());
-    for (done, item) in items.iter().enumerate() {
-        let mut row = listed(item.upid, Some(item.usage), None);
-        if values && item.usage.has(Usage::RAM_READ) {
-            go_on(access, watch, done, items.len())?;
-            row.raw = Some(access.read(&row.address)?);
-        }
-        rows.push(row);
-    }
-    Ok(rows)
-}
-
-/// Those whose value in flash is not the default, with that value.
-fn modified(access: Access<'_>, watch: Watcher<'_>, first: Upid) -> Result<Vec<Listed>, ListError> {
-    let services = Services::over(access.drive, access.carrier)?;
-    let modified = services.modified_upids(first, watch)?;
-    Ok(modified.into_iter().map(|(upid, value)| listed(upid, None, Some(value.into()))).collect())
-}
-
-fn listed(upid: Upid, usage: Option<Usage>, raw: Option<u64>) -> Listed {
+fn listed(upid: Upid, usage: Option<Usage>, raw: Option<u32>) -> Listed {
     Listed {
         address: upid.to_string(),
         name: upid.known().map(|known| known.name),
         usage: usage.map(|usage| usage.to_string()),
-        raw,
+        raw: raw.map(u64::from),
     }
 }
 

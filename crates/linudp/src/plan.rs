@@ -201,8 +201,9 @@ impl LinUdpDrive {
     pub fn faults(&self, period_ns: u64) -> Vec<PlanFault> {
         let mut faults = self.wire_faults();
         faults.extend(self.stream.and_then(|command| self.stream_fault(command, period_ns)));
+        let mut fault = |key, why: &str| faults.push(PlanFault::new(key, why));
         if let Some(name) = self.monitor.shown_twice() {
-            faults.push(PlanFault::new("monitor", format!("has {name} twice; list each variable once")));
+            fault("monitor", &format!("has {name} twice; list each variable once"));
         }
         let most = self.most_replies_within();
         if self.reply_within.is_some_and(|within| !(1..=most).contains(&within)) {
@@ -212,28 +213,22 @@ impl LinUdpDrive {
                 (_, MonitorPlan::Off) | (ReplyTag::Count, _) => "later replies could look like newer ones",
                 _ => "with monitor only four replies in a row differ, unless reply_tag = \"count\"",
             };
-            faults.push(PlanFault::new("reply_within", format!("must be {range}: {tag}")));
+            fault("reply_within", &format!("must be {range}: {tag}"));
         }
         if self.axis.limits.torque.is_some() {
-            let why = "has no effect: a LinUDP drive takes no torque setpoints; leave it out";
-            faults.push(PlanFault::new("limits.torque", why));
+            fault("limits.torque", "has no effect: a LinUDP drive takes no torque setpoints; leave it out");
         }
         if self.sto_after >= self.axis.enable_timeout {
             let why =
                 "must be shorter than enable_timeout, or no Enable would report a missing hardware enable";
-            faults.push(PlanFault::new("sto_after", why));
+            fault("sto_after", why);
         }
-        let unit = self.axis.units.unit;
-        match (self.leash, self.axis.limits.position) {
-            (Some(leash), _) if !(leash > 0.0 && leash.is_finite()) => {
-                faults.push(PlanFault::new("leash", "must be above 0"));
-            }
-            (Some(leash), Some((low, high))) if leash > high - low => {
-                let range = high - low;
-                let why = format!(
-                    "is longer than the range of {range} {unit}; a jog runs that far if the master dies"
-                );
-                faults.push(PlanFault::new("leash", why));
+        let (unit, range) = (self.axis.units.unit, self.axis.limits.position.map(|(low, high)| high - low));
+        match (self.leash, range) {
+            (Some(leash), _) if !(leash > 0.0 && leash.is_finite()) => fault("leash", "must be above 0"),
+            (Some(leash), Some(range)) if leash > range => {
+                let far = "a jog runs that far if the master dies";
+                fault("leash", &format!("is longer than the range of {range} {unit}; {far}"));
             }
             _ => {}
         }
@@ -322,28 +317,21 @@ impl LinUdpDrive {
             }
             None => format!("no streams: no streaming command takes a setpoint every {setpoints}"),
         });
-        match self.monitor {
-            MonitorPlan::Off => {}
-            MonitorPlan::AsSet => {
-                lines.push("shows its monitoring channels as the drive has them set".to_owned())
-            }
+        lines.extend(match self.monitor {
+            MonitorPlan::Off => None,
+            MonitorPlan::AsSet => Some("shows its monitoring channels as the drive has them set".to_owned()),
             MonitorPlan::Sources(_) => {
-                let names: Vec<String> =
-                    self.monitor.channels().into_iter().flatten().map(|channel| channel.name).collect();
-                let names = names.join(", ");
-                lines.push(format!(
-                    "shows {names}: the master sets this, in RAM, whenever the drive comes online"
-                ));
+                let names = self.monitor.channels().into_iter().flatten().map(|channel| channel.name);
+                let names = names.collect::<Vec<_>>().join(", ");
+                Some(format!("shows {names}: the master sets this, in RAM, whenever the drive comes online"))
             }
-        }
+        });
         lines.push(match self.replies_within() {
             1 => "a reply counts in the cycle of its request only".to_owned(),
+            2 => "a reply counts in the cycle of its request and in the next one (reply_within)".to_owned(),
             within => format!(
                 "a reply counts in the cycle of its request and in the next {} (reply_within)",
-                match within {
-                    2 => "one".to_owned(),
-                    _ => (within - 1).to_string(),
-                }
+                within - 1
             ),
         });
         lines.push(format!(

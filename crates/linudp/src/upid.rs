@@ -153,18 +153,10 @@ impl Usage {
 impl std::fmt::Display for Usage {
     /// As `rw rw live`: RAM, then ROM.
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let access = |read, write| match (self.has(read), self.has(write)) {
-            (true, true) => "rw",
-            (true, false) => "r-",
-            (false, true) => "-w",
-            (false, false) => "--",
-        };
-        write!(
-            f,
-            "{} {}",
-            access(Usage::RAM_READ, Usage::RAM_WRITE),
-            access(Usage::ROM_READ, Usage::ROM_WRITE)
-        )?;
+        let flag = |bit, letter| if self.has(bit) { letter } else { '-' };
+        let ram = [flag(Usage::RAM_READ, 'r'), flag(Usage::RAM_WRITE, 'w')];
+        let rom = [flag(Usage::ROM_READ, 'r'), flag(Usage::ROM_WRITE, 'w')];
+        write!(f, "{}{} {}{}", ram[0], ram[1], rom[0], rom[1])?;
         if self.has(Usage::LIVE) { f.write_str(" live") } else { Ok(()) }
     }
 }

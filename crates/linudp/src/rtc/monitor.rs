@@ -55,22 +55,15 @@ impl Monitor {
         match result {
             Ok(answer) if self.writing || answer.value == u64::from(source.0) => {
                 self.shown[self.channel] = true;
-                self.go_on();
             }
-            Ok(_) => self.writing = true,
-            Err(CallError::Refused(status)) => {
-                self.refused = Some((self.channel as u8, status));
-                self.go_on();
+            Ok(_) => return self.writing = true,
+            Err(CallError::Refused(status)) => self.refused = Some((self.channel as u8, status)),
+            Err(_) if self.tries + 1 < MOST_TRIES => {
+                (self.writing, self.tries) = (false, self.tries + 1);
+                return;
             }
-            Err(_) if self.tries + 1 < MOST_TRIES => (self.writing, self.tries) = (false, self.tries + 1),
-            Err(_) => {
-                self.refused = Some((self.channel as u8, 0));
-                self.go_on();
-            }
+            Err(_) => self.refused = Some((self.channel as u8, 0)),
         }
-    }
-
-    fn go_on(&mut self) {
         (self.channel, self.writing, self.tries) = (self.channel + 1, false, 0);
     }
 

@@ -69,18 +69,6 @@ impl<'a> ResponseView<'a> {
         self.block(ResponseDef::STATE).map(|bytes| StateVar(u16::from_le_bytes(bytes)))
     }
 
-    /// Actual position, 0.1 um.
-    #[inline]
-    pub fn actual(&self) -> Option<i32> {
-        self.block(ResponseDef::ACTUAL).map(i32::from_le_bytes)
-    }
-
-    /// Demand position, 0.1 um.
-    #[inline]
-    pub fn demand(&self) -> Option<i32> {
-        self.block(ResponseDef::DEMAND).map(i32::from_le_bytes)
-    }
-
     /// Set current, mA.
     #[inline]
     pub fn current(&self) -> Option<i16> {
@@ -174,13 +162,14 @@ impl Response {
     #[inline]
     pub fn parse(bytes: &[u8]) -> Result<Response, ParseError> {
         let view = ResponseView::new(bytes)?;
+        let position = |block| view.block(block).map(i32::from_le_bytes);
         Ok(Response {
             request_def: view.request,
             response_def: view.response,
             status: view.status(),
             state: view.state(),
-            actual: view.actual(),
-            demand: view.demand(),
+            actual: position(ResponseDef::ACTUAL),
+            demand: position(ResponseDef::DEMAND),
             current: view.current(),
             warn: view.warn(),
             error: view.error(),
