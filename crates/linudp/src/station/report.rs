@@ -225,9 +225,10 @@ fn drive_state(status: StatusWord, state: StateVar, booting: bool) -> State {
         MainState::READY_TO_SWITCH_ON => State::ReadyToSwitchOn,
         MainState::SETUP_ERROR => State::FaultReactionActive,
         MainState::ERROR => State::Fault,
-        MainState::HW_TESTS | MainState::READY_TO_OPERATE | MainState::BRAKE_DELAY | MainState(7) => {
-            State::SwitchedOn
-        }
+        MainState::HW_TESTS
+        | MainState::READY_TO_OPERATE
+        | MainState::BRAKE_DELAY
+        | MainState::BRAKE_RELEASE => State::SwitchedOn,
         MainState::QUICK_STOP if status.error() => State::FaultReactionActive,
         MainState::QUICK_STOP | MainState::ABORTING | MainState::FREEZING => State::QuickStopActive,
         MainState(8..=20) => State::OperationEnabled,

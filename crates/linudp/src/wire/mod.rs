@@ -36,6 +36,26 @@ macro_rules! debug_as_hex {
     };
 }
 
+/// The numbers that are known, `NAME = number, "in words";`.
+macro_rules! named {
+    ($of:ident $($(#[$doc:meta])* $name:ident = $code:literal, $text:literal;)*) => {
+        impl $of {
+            $($(#[$doc])* pub const $name: $of = $of($code);)*
+
+            /// All that are known.
+            pub const ALL: &[$of] = &[$($of::$name),*];
+
+            /// In words; `None` for one that is not known.
+            pub const fn name(self) -> Option<&'static str> {
+                match self.0 {
+                    $($code => Some($text),)*
+                    _ => None,
+                }
+            }
+        }
+    };
+}
+
 mod faults;
 mod request;
 mod response;

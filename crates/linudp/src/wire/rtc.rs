@@ -73,26 +73,9 @@ impl RtcBlock {
 #[derive(Clone, Copy, Default, PartialEq, Eq, Hash)]
 pub struct RtcCommand(pub u8);
 
-macro_rules! commands {
-    ($($(#[$doc:meta])* $name:ident = $code:literal, $text:literal;)*) => {
-        impl RtcCommand {
-            $($(#[$doc])* pub const $name: RtcCommand = RtcCommand($code);)*
+named! {
+    RtcCommand
 
-            /// All commands that the manual lists.
-            pub const ALL: &[RtcCommand] = &[$(RtcCommand::$name),*];
-
-            /// In words; `None` for one that the manual does not list.
-            pub const fn name(self) -> Option<&'static str> {
-                match self.0 {
-                    $($code => Some($text),)*
-                    _ => None,
-                }
-            }
-        }
-    };
-}
-
-commands! {
     /// Does nothing. Its count is echoed all the same.
     NO_OPERATION = 0x00, "no operation";
     /// Word 2 UPID; gives the value in flash, which holds after the next start.

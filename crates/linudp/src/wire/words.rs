@@ -206,78 +206,53 @@ impl StateVar {
 #[derive(Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct MainState(pub u8);
 
-impl MainState {
-    /// Not ready to switch on: until control word bit 0 was 0.
-    pub const NOT_READY: MainState = MainState(0);
-    /// Switch on disabled: until control word bits 0 ... 2 are 0, 1, 1.
-    pub const SWITCH_ON_DISABLED: MainState = MainState(1);
-    /// Ready to switch on.
-    pub const READY_TO_SWITCH_ON: MainState = MainState(2);
-    /// Setup error; the sub state is the code about to be logged.
-    pub const SETUP_ERROR: MainState = MainState(3);
-    /// Error; the sub state is the low byte of the logged code.
-    pub const ERROR: MainState = MainState(4);
-    /// Hardware tests, about 300 ms.
-    pub const HW_TESTS: MainState = MainState(5);
-    /// Ready to operate: powered, position controlled, no motion commands.
-    pub const READY_TO_OPERATE: MainState = MainState(6);
-    /// Operation enabled: takes motion commands. The only state whose sub state carries their count.
-    pub const OPERATION_ENABLED: MainState = MainState(8);
-    /// Homing.
-    pub const HOMING: MainState = MainState(9);
-    /// Clearance check.
-    pub const CLEARANCE_CHECK: MainState = MainState(10);
-    /// Going to the initial position.
-    pub const GOING_TO_INITIAL: MainState = MainState(11);
-    /// Aborting.
-    pub const ABORTING: MainState = MainState(12);
-    /// Freezing.
-    pub const FREEZING: MainState = MainState(13);
-    /// Quick stop, commanded or in reaction to an error.
-    pub const QUICK_STOP: MainState = MainState(14);
-    /// Going to the parameterised position.
-    pub const GOING_TO_POSITION: MainState = MainState(15);
-    /// Jogging in positive direction.
-    pub const JOGGING_PLUS: MainState = MainState(16);
-    /// Jogging in negative direction.
-    pub const JOGGING_MINUS: MainState = MainState(17);
-    /// Linearizing.
-    pub const LINEARIZING: MainState = MainState(18);
-    /// Phase search.
-    pub const PHASE_SEARCH: MainState = MainState(19);
-    /// Special mode.
-    pub const SPECIAL_MODE: MainState = MainState(20);
-    /// Brake delay (newer firmware).
-    pub const BRAKE_DELAY: MainState = MainState(21);
+named! {
+    MainState
 
-    /// Its name, if known.
-    pub const fn name(self) -> Option<&'static str> {
-        Some(match self.0 {
-            0 => "not ready to switch on",
-            1 => "switch on disabled",
-            2 => "ready to switch on",
-            3 => "setup error",
-            4 => "error",
-            5 => "hardware tests",
-            6 => "ready to operate",
-            7 => "brake release",
-            8 => "operation enabled",
-            9 => "homing",
-            10 => "clearance check",
-            11 => "going to initial position",
-            12 => "aborting",
-            13 => "freezing",
-            14 => "quick stop",
-            15 => "going to position",
-            16 => "jogging +",
-            17 => "jogging -",
-            18 => "linearizing",
-            19 => "phase search",
-            20 => "special mode",
-            21 => "brake delay",
-            _ => return None,
-        })
-    }
+    /// Not ready to switch on: until control word bit 0 was 0.
+    NOT_READY = 0, "not ready to switch on";
+    /// Switch on disabled: until control word bits 0 ... 2 are 0, 1, 1.
+    SWITCH_ON_DISABLED = 1, "switch on disabled";
+    /// Ready to switch on.
+    READY_TO_SWITCH_ON = 2, "ready to switch on";
+    /// Setup error; the sub state is the code about to be logged.
+    SETUP_ERROR = 3, "setup error";
+    /// Error; the sub state is the low byte of the logged code.
+    ERROR = 4, "error";
+    /// Hardware tests, about 300 ms.
+    HW_TESTS = 5, "hardware tests";
+    /// Ready to operate: powered, position controlled, no motion commands.
+    READY_TO_OPERATE = 6, "ready to operate";
+    /// Brake release.
+    BRAKE_RELEASE = 7, "brake release";
+    /// Operation enabled: takes motion commands. The only state whose sub state carries their count.
+    OPERATION_ENABLED = 8, "operation enabled";
+    /// Homing.
+    HOMING = 9, "homing";
+    /// Clearance check.
+    CLEARANCE_CHECK = 10, "clearance check";
+    /// Going to the initial position.
+    GOING_TO_INITIAL = 11, "going to initial position";
+    /// Aborting.
+    ABORTING = 12, "aborting";
+    /// Freezing.
+    FREEZING = 13, "freezing";
+    /// Quick stop, commanded or in reaction to an error.
+    QUICK_STOP = 14, "quick stop";
+    /// Going to the parameterised position.
+    GOING_TO_POSITION = 15, "going to position";
+    /// Jogging in positive direction.
+    JOGGING_PLUS = 16, "jogging +";
+    /// Jogging in negative direction.
+    JOGGING_MINUS = 17, "jogging -";
+    /// Linearizing.
+    LINEARIZING = 18, "linearizing";
+    /// Phase search.
+    PHASE_SEARCH = 19, "phase search";
+    /// Special mode.
+    SPECIAL_MODE = 20, "special mode";
+    /// Brake delay (newer firmware).
+    BRAKE_DELAY = 21, "brake delay";
 }
 
 impl fmt::Debug for MainState {
