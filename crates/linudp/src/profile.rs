@@ -351,15 +351,11 @@ impl Profile {
         }
         evidence.fault.active = inputs.failed();
         evidence.fault.named = inputs.named;
-        evidence.fault.resettable = Self::resettable(inputs);
-    }
-
-    fn resettable(inputs: &Inputs) -> Resettable {
-        match () {
+        evidence.fault.resettable = match () {
             () if !inputs.settled_error() => Resettable::At(Time(u64::MAX)),
             () if inputs.status.fatal() => Resettable::Never(None),
             () => Resettable::Now,
-        }
+        };
     }
 
     /// The drive reports that its power stage may not come on although the last requests allowed it: an input of
