@@ -43,8 +43,8 @@ pub fn parse(text: &str, file: &str) -> Result<Curve, ConfigErrors> {
         let _ = writeln!(head, "{}", line.replacen('#', " ", 1));
         first += 1;
     }
-    let rows: Vec<(usize, &str)> = (first..).zip(text.lines().skip(first - 1)).collect();
-    let rows: Vec<(usize, &str)> = rows.into_iter().filter(|(_, line)| !line.trim().is_empty()).collect();
+    let rows = (first..).zip(text.lines().skip(first - 1));
+    let rows: Vec<(usize, &str)> = rows.filter(|(_, line)| !line.trim().is_empty()).collect();
     let Some((columns, rows)) = rows.split_first() else {
         let message = format!("{file} has no rows; a curve has a head, a line of columns and its setpoints");
         return Err(whole_file(file, None, message));
@@ -66,14 +66,14 @@ pub fn to_text(curve: &Curve) -> Result<String, CurveError> {
     name::write(&mut text, "# ", curve.name(), &curve.name);
     let length = value::decimal(curve.x_length.into(), x_decimals);
     let _ = writeln!(text, "# kind = \"{word}\"\n# length = {length}");
-    if curve.x_dimension != usual {
-        let _ = writeln!(text, "# x_dimension = {}", curve.x_dimension.0);
-    }
-    if curve.y_dimension != Dimension::POSITION {
-        let _ = writeln!(text, "# y_dimension = {}", curve.y_dimension.0);
-    }
-    if curve.wizard != 0 {
-        let _ = writeln!(text, "# wizard = {}", curve.wizard);
+    for (key, number, usual) in [
+        ("x_dimension", curve.x_dimension.0, usual.0),
+        ("y_dimension", curve.y_dimension.0, Dimension::POSITION.0),
+        ("wizard", curve.wizard, 0),
+    ] {
+        if number != usual {
+            let _ = writeln!(text, "# {key} = {number}");
+        }
     }
     if curve.wizard_parameters != [0; 7] {
         let _ = writeln!(text, "# wizard_parameters = {:?}", curve.wizard_parameters);
