@@ -229,8 +229,11 @@ impl Profile {
     #[inline]
     pub(super) fn holds(&self, desired: &Desired) -> Option<Outputs> {
         let holds = self.state.holds(desired.revision())
-            && desired.setpoint.row == self.state.left().serials.row
-            && !matches!(desired.motion.value, Motion::Native(_));
+            && match desired.motion.value {
+                Motion::Follow => desired.setpoint.row == self.state.left().serials.row,
+                Motion::Native(_) => false,
+                _ => true,
+            };
         holds.then_some(self.outputs)
     }
 
@@ -251,13 +254,14 @@ impl Profile {
         if begins {
             state.begin(rules, motion.value, inputs);
         }
-        if setpoint.row > before.row {
-            if let Some(command) = rules.row(setpoint, inputs) {
-                state.channel.stream(command);
-            }
-        } else {
-            // A stream was replaced before its row left, and this is the setpoint before that.
-            state.serials.row = before.row;
+        // The row of a stream that was replaced before it left is none of this motion.
+        state.serials.row = before.row;
+        if motion.value == Motion::Follow
+            && setpoint.row > before.row
+            && let Some(command) = rules.row(setpoint, inputs)
+        {
+            state.serials.row = setpoint.row;
+            state.channel.stream(command);
         }
         state.channel.avoid_clash();
         // What the application has written before the mode begins is dropped.
@@ -277,23 +281,17 @@ impl Profile {
     /// The last built request has gone out, for what is desired.
     #[inline]
     pub(super) fn sent(&mut self, motion: Motion, native: &mut NativePort) {
-        if let Some(before) = self.state.leave() {
-            self.note_sent(&before, motion, native);
-        }
-    }
-
-    #[inline(never)]
-    fn note_sent(&mut self, before: &State, motion: Motion, native: &mut NativePort) {
-        let state = self.state.left();
-        if state.control != before.control {
-            self.power_sent.note(state.control);
-        }
-        if state.native_taken != before.native_taken {
-            native.pop();
-        }
-        if state.serials.motion != before.serials.motion {
-            native.flush();
-            native.runs(matches!(motion, Motion::Native(_)));
+        if let Some((before, state)) = self.state.leave() {
+            if state.control != before.control {
+                self.power_sent.note(state.control);
+            }
+            if state.native_taken != before.native_taken {
+                native.pop();
+            }
+            if state.serials.motion != before.serials.motion {
+                native.flush();
+                native.runs(matches!(motion, Motion::Native(_)));
+            }
         }
     }
 

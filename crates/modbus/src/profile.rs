@@ -275,19 +275,13 @@ impl Profile {
     /// The request that was built has gone out.
     #[inline]
     pub(super) fn sent(&mut self, native: &mut NativePort) {
-        if let Some(before) = self.state.leave() {
-            self.note_sent(&before, native);
-        }
-    }
-
-    #[inline(never)]
-    fn note_sent(&mut self, before: &State, native: &mut NativePort) {
-        let state = self.state.left();
-        if state.native_taken != before.native_taken {
-            native.pop();
-        }
-        if state.serials.1 != before.serials.1 {
-            native.flush();
+        if let Some((before, state)) = self.state.leave() {
+            if state.native_taken != before.native_taken {
+                native.pop();
+            }
+            if state.serials.1 != before.serials.1 {
+                native.flush();
+            }
         }
     }
 

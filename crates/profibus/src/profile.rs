@@ -259,17 +259,10 @@ impl Profile {
     #[inline]
     pub(super) fn sent(&mut self, native: &mut NativePort) {
         self.turning = self.setpoint;
-        if let Some(before) = self.state.leave() {
-            self.note_sent(&before, native);
-        }
-    }
-
-    #[inline(never)]
-    fn note_sent(&mut self, before: &State, native: &mut NativePort) {
-        let State { serials, native_taken, .. } = *self.state.left();
+        let Some((before, State { serials, native_taken, .. })) = self.state.leave() else { return };
         self.power.sent(serials.0, self.answers);
         self.motion.sent(serials.1, self.answers);
-        if native_taken != before.native_taken {
+        if *native_taken != before.native_taken {
             native.pop();
         }
         if serials.1 != before.serials.1 {

@@ -101,31 +101,28 @@ impl<T: Clone + PartialEq> Prepared<T> {
         }
     }
 
-    /// The telegram has left. Returns the state before it, if that has changed.
+    /// The telegram has left. Returns the states before and behind it, if they differ.
     #[inline]
-    pub fn leave(&mut self) -> Option<T> {
-        if self.is_proposed { self.take_over() } else { None }
-    }
-
-    #[inline(never)]
-    fn take_over(&mut self) -> Option<T> {
+    pub fn leave(&mut self) -> Option<(&T, &T)> {
+        let is_new = self.is_proposed && self.proposed != self.left;
         self.is_proposed = false;
-        if self.proposed == self.left {
-            return None;
-        }
-        self.revision += 1;
-        Some(std::mem::replace(&mut self.left, self.proposed.clone()))
+        is_new.then(|| self.take_over())
     }
 
-    /// Changes the state by what is no telegram: a report of the drive, a new connection.
+    /// The same of a telegram that is known to be another one.
+    #[inline(never)]
+    pub fn take_over(&mut self) -> (&T, &T) {
+        (self.is_proposed, self.revision) = (false, self.revision + 1);
+        std::mem::swap(&mut self.left, &mut self.proposed);
+        (&self.proposed, &self.left)
+    }
+
+    /// Changes the state by what is no telegram: a report of the drive, a new connection. A telegram that was built is
+    /// void.
     pub fn change<R>(&mut self, change: impl FnOnce(&mut T) -> R) -> R {
-        let before = self.left.clone();
-        let result = change(&mut self.left);
-        if self.left != before {
-            self.revision += 1;
-            (self.is_proposed, self.is_void) = (false, self.built_for.take().is_some());
-        }
-        result
+        self.revision += 1;
+        (self.is_proposed, self.is_void) = (false, self.built_for.take().is_some());
+        change(&mut self.left)
     }
 }
 
@@ -156,7 +153,7 @@ mod tests {
                     assert!(prepared.holds(desired) && *prepared.proposed() == model + more);
                     let (before, revision) = (model, prepared.revision());
                     model += more;
-                    assert_eq!(prepared.leave(), (model != before).then_some(before));
+                    assert_eq!(prepared.leave(), (model != before).then_some((&before, &model)));
                     assert_eq!(prepared.revision() != revision, model != before);
                     assert_eq!(prepared.leave(), None, "it leaves once");
                 }

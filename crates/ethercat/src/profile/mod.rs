@@ -382,22 +382,14 @@ impl Profile {
     pub(super) fn sent(&mut self) -> bool {
         self.row.sent(self.wanted_row, self.answers);
         self.sent.setpoints = (self.setpoint, self.sent.setpoints.0);
-        let before = self.state.leave();
-        if let Some(before) = &before {
-            self.note_sent(before);
-        }
-        before.is_some()
-    }
-
-    #[inline(never)]
-    fn note_sent(&mut self, before: &State) {
-        let state = self.state.left();
+        let Some((before, state)) = self.state.leave() else { return false };
         if state.native_taken != before.native_taken {
             self.native.pop();
         }
         if state.motion.serial != before.motion.serial {
             self.native.flush();
         }
+        true
     }
 
     /// More may have changed in the exchange that was [`sent`](Self::sent).

@@ -285,14 +285,7 @@ impl Profile {
     /// The packet has gone out.
     #[inline]
     pub(super) fn sent(&mut self, native: &mut NativePort) {
-        if let Some(before) = self.state.leave() {
-            self.note_sent(&before, native);
-        }
-    }
-
-    #[inline(never)]
-    fn note_sent(&mut self, before: &State, native: &mut NativePort) {
-        let state = self.state.left();
+        let Some((before, state)) = self.state.leave() else { return };
         if state.native_taken != before.native_taken {
             native.pop();
         }

@@ -298,7 +298,7 @@ impl Machine {
     fn commit_command(&mut self) {
         if self.state.is_proposed() {
             self.waiting = None;
-            self.state.leave();
+            self.state.take_over();
         }
     }
 
