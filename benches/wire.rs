@@ -42,7 +42,7 @@ use fieldbeat::bus::profibus::DATA_MAX;
 use fieldbeat::telemetry::Counters;
 use fieldbeat::time::{MS, Time, US};
 use fieldbeat_core::axis::acyclic::AcyclicEnds;
-use fieldbeat_core::bus::{Bus, Exchange, Slot};
+use fieldbeat_core::bus::{Bus, Ends, Exchange, Grid, Notes, Opened, Slot};
 use fieldbeat_core::drive::machine::Machine;
 use fieldbeat_core::inputs::InputLog;
 use fieldbeat_core::net::Frames;
@@ -99,7 +99,8 @@ fn advance(cycle: &mut Cycle) -> Time {
 
 /// The machine of drive `index`.
 fn machine(plan: &dyn BusPlan, index: usize) -> Machine {
-    Machine::new(plan.axes()[index], plan.capabilities(index, PERIOD_NS), PERIOD_NS)
+    let grid = Grid { period_ns: PERIOD_NS, deadline_ns: PERIOD_NS / 2 };
+    Machine::new(plan.axes()[index], plan.facts(grid).drives[index].capabilities, PERIOD_NS)
 }
 
 /// A request has gone out.
@@ -398,6 +399,8 @@ fn bus_now() -> Time {
 /// A bus whose drives all follow a velocity, answered from memory.
 struct Following {
     bus: Box<dyn Bus>,
+    notes: Option<Arc<dyn Notes>>,
+    _ends: Ends,
     machines: Vec<Machine>,
     slots: Vec<Slot>,
     cycle: Cycle,
@@ -405,11 +408,13 @@ struct Following {
 
 impl Following {
     /// All axes in operation and turning; `turn` is a cycle of it.
-    fn operational(plan: &dyn BusPlan, bus: Box<dyn Bus>, turn: fn(&mut Following)) -> Following {
+    fn operational(plan: &dyn BusPlan, opened: Opened, turn: fn(&mut Following)) -> Following {
+        let Opened { bus, notes, ends: _ends, .. } = opened;
         let drives = plan.axes().len();
         let slot = Slot { due: true, link: Link::Online, ..Slot::default() };
         let machines = (0..drives).map(|index| machine(plan, index)).collect();
-        let mut following = Following { bus, machines, slots: vec![slot; drives], cycle: BEGIN };
+        let slots = vec![slot; drives];
+        let mut following = Following { bus, notes, _ends, machines, slots, cycle: BEGIN };
         following.cycle.grid = Time(1_000 * PERIOD_NS);
         following.bus.prepare(&following.cycle, &mut following.slots);
         following.until("in operation", turn, |slot, _| slot.status.at > Time(0));
@@ -437,7 +442,7 @@ impl Following {
                 return;
             }
         }
-        panic!("the drives are not {what}: {:?}", self.bus.notes().and_then(|notes| notes.get(0)));
+        panic!("the drives are not {what}: {:?}", self.notes.as_ref().and_then(|notes| notes.get(0)));
     }
 
     /// What was sent and answered since the last time.

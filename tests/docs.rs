@@ -532,7 +532,7 @@ fn every_counter_of_a_protocol_is_explained() {
 fn the_tables_of_diagnosis_are_those_of_the_protocols() {
     let page = Page::read("docs/src/diagnosis.md");
     let plans = PARTS.map(|(_, machine)| config::parse(machine, "m.toml").unwrap().plan);
-    let tables: Vec<_> = plans.iter().flat_map(|plan| &plan.buses).map(|bus| bus.diagnosis()).collect();
+    let tables: Vec<_> = plans.iter().flat_map(|plan| plan.facts()).map(|bus| bus.diagnosis).collect();
     assert!(tables.len() >= 5 && tables.iter().all(|rows| rows.len() > 1));
     for rows in tables {
         let cells = |Row { symptom, says, remedy, .. }: &Row| format!("| {symptom} | {says} | {remedy} |\n");

@@ -463,7 +463,7 @@ fn live_on_packets() {
     let first = serve();
     let plan = skipping(bus.clone(), CyclePlan { period_ns: 2 * MS, ..CyclePlan::default() });
     let begun = recorded(plan, Box::new(|_, _| {}));
-    let read = bus.notation().read("AC").unwrap();
+    let read = bus.facts(CyclePlan::default().grid()).notation.read("AC").unwrap();
     Lives { begun, server: Some(first), serve, read, cycles: 10_000 }.live("of packets");
 }
 
@@ -496,7 +496,7 @@ fn live_on_a_wire() {
     let first = serve();
     let plan = skipping(bus.clone(), CyclePlan { period_ns: 2 * MS, ..CyclePlan::default() });
     let begun = recorded(plan, Box::new(|_, _| {}));
-    let read = bus.notation().read("C0061").unwrap();
+    let read = bus.facts(CyclePlan::default().grid()).notation.read("C0061").unwrap();
     Lives { begun, server: Some(first), serve, read, cycles: 10_000 }.live("of a wire");
 }
 

@@ -502,7 +502,7 @@ impl<C: Metered> Rig<C> {
         };
         let words = Vec::with_capacity(LOG_WORDS);
         let mut rig = Rig { assembly, grid: Time(0), calls, devices: Vec::new(), log: None, words };
-        for name in plan.buses.iter().flat_map(|bus| bus.devices()) {
+        for name in plan.facts().iter().flat_map(|bus| &bus.devices) {
             match rig.assembly.devices.take(name) {
                 Ok(device) => rig.devices.push(device),
                 Err(error) => give_up(error),

@@ -30,29 +30,12 @@ macro_rules! forward_bus_plan {
     ($field:tt) => {
         $crate::forward! { this => this.$field;
             fn name(&self) -> &str;
-            fn protocol(&self) -> &'static str;
             fn axes(&self) -> Vec<&fieldbeat::axis::AxisPlan>;
             fn faults(&self, period_ns: u64) -> Vec<(usize, fieldbeat::axis::PlanFault)>;
-            fn reply_within_ns(&self, index: usize) -> Option<u64>;
-            fn turn_within_ns(&self, index: usize, grid: fieldbeat::bus::Grid) -> Option<u64>;
-            fn request_within_ns(&self, index: usize, grid: fieldbeat::bus::Grid) -> Option<u64>;
-            fn before_stop(&self, index: usize) -> u32;
-            fn fresh_within_ns(&self, index: usize, period_ns: u64) -> Option<u64>;
-            fn drive_watchdog_ns(&self, index: usize) -> Option<u64>;
-            fn addresses(&self) -> Vec<std::net::SocketAddrV4>;
-            fn describe(&self, period_ns: u64) -> Vec<String>;
-            fn monitored(&self, index: usize) -> [Option<fieldbeat::axis::MonitorChannel>; 4];
-            fn reaching(&self, index: usize) -> Option<Box<dyn fieldbeat::bus::BusPlan>>;
-            fn notation(&self) -> std::sync::Arc<dyn fieldbeat_core::axis::acyclic::Notation>;
+            fn facts(&self, grid: fieldbeat::bus::Grid) -> fieldbeat_core::bus::BusFacts;
+            fn describe(&self, grid: fieldbeat::bus::Grid) -> Vec<String>;
             fn native_layout(&self, index: usize) -> fieldbeat_core::bus::native::NativeLayout;
-            fn wire_us(&self) -> Option<usize>;
-            fn describe_turns(&self, grid: fieldbeat::bus::Grid) -> Option<String>;
-            fn own_counters(&self) -> &'static [fieldbeat_core::bus::OwnCounter];
-            fn diagnosis(&self) -> &'static [fieldbeat_core::bus::diagnosis::Row];
-            fn capabilities(&self, index: usize, period_ns: u64) -> fieldbeat_core::bus::desired::Capabilities;
-            fn fault_names(&self) -> fieldbeat_core::axis::feedback::FaultNames;
-            fn has_clock(&self) -> bool;
-            fn devices(&self) -> Vec<&str>;
+            fn reaching(&self, index: usize) -> Option<Box<dyn fieldbeat::bus::BusPlan>>;
         }
     };
 }

@@ -1,15 +1,12 @@
 //! A LinUDP bus whose calls panic when a test wants it.
 
-use std::any::Any;
 use std::os::fd::RawFd;
 use std::sync::{Arc, Mutex};
 
 use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::linudp::LinUdpPlan;
-use fieldbeat::telemetry::Unmatched;
 use fieldbeat::{Cycle, OpenError};
-use fieldbeat_core::axis::acyclic::AcyclicEnds;
-use fieldbeat_core::bus::{Bus, Slot};
+use fieldbeat_core::bus::{Bus, BusNumbers, Opened, Slot};
 use fieldbeat_core::net::Carriers;
 use fieldbeat_core::rt::Regions;
 
@@ -20,7 +17,7 @@ pub enum Call {
     Receive,
     Prepare,
     HelperEnded,
-    Unmatched,
+    Numbers,
     ShutDown,
 }
 
@@ -52,9 +49,10 @@ impl Fused {
 impl BusPlan for Fused {
     crate::forward_bus_plan!(plan);
 
-    fn open(&self, period_ns: u64, carriers: &dyn Carriers) -> Result<Box<dyn Bus>, OpenError> {
-        let bus = self.plan.open(period_ns, carriers)?;
-        Ok(Box::new(FusedBus { bus, of: self.clone() }))
+    fn open(&self, period_ns: u64, carriers: &dyn Carriers) -> Result<Opened, OpenError> {
+        let Opened { bus, ends, .. } = self.plan.open(period_ns, carriers)?;
+        let bus = Box::new(FusedBus { bus, of: self.clone() });
+        Ok(Opened { bus, ends, notes: None, last_resort: None })
     }
 }
 
@@ -79,10 +77,6 @@ impl FusedBus {
 }
 
 impl Bus for FusedBus {
-    fn name(&self) -> &str {
-        self.bus.name()
-    }
-
     fn memory(&self, regions: &mut Regions) {
         self.bus.memory(regions);
     }
@@ -116,16 +110,8 @@ impl Bus for FusedBus {
         *self.of.helper_ended.lock().unwrap()
     }
 
-    fn unmatched(&self) -> Unmatched {
-        self.burn(Call::Unmatched);
-        self.bus.unmatched()
-    }
-
-    fn native(&mut self, index: usize) -> Option<Box<dyn Any + Send>> {
-        self.bus.native(index)
-    }
-
-    fn acyclic(&mut self, index: usize) -> Option<AcyclicEnds> {
-        self.bus.acyclic(index)
+    fn numbers(&self) -> BusNumbers {
+        self.burn(Call::Numbers);
+        self.bus.numbers()
     }
 }

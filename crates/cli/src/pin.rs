@@ -7,7 +7,8 @@ use std::path::PathBuf;
 
 use clap::Args;
 use fieldbeat_config::{self as config, PROTOCOLS};
-use fieldbeat_core::bus::BusPlan;
+use fieldbeat_core::axis::AxisPlan;
+use fieldbeat_core::bus::{BusFacts, DriveFacts};
 use fieldbeat_keys::Protocol;
 use fieldbeat_keys::outline::{Found, Known};
 use fieldbeat_record::file::save;
@@ -29,7 +30,8 @@ pub struct Pin {
 /// What is found of one bus.
 struct Search<'a> {
     protocol: &'static Protocol,
-    plan: &'a dyn BusPlan,
+    axes: Vec<&'a AxisPlan>,
+    facts: BusFacts,
     bus: &'a DeTable<'a>,
     drives: Vec<&'a DeTable<'a>>,
 }
@@ -47,10 +49,11 @@ impl Pin {
         let goes_on = || !interrupt.is_set();
         let buses = tables(whole.get_ref(), "bus");
         let (mut added, mut wrong) = (Vec::new(), Vec::new());
-        for (plan, bus) in loaded.configuration.plan.buses.iter().zip(buses) {
-            let named = |protocol: &&Protocol| protocol.name == plan.protocol();
+        let plan = &loaded.configuration.plan;
+        for ((own, facts), bus) in plan.buses.iter().zip(plan.facts()).zip(buses) {
+            let named = |protocol: &&Protocol| protocol.name == facts.protocol;
             let Some(protocol) = PROTOCOLS.iter().find(named) else { continue };
-            let search = Search { protocol, plan: &**plan, bus, drives: tables(bus, "drive") };
+            let search = Search { protocol, axes: own.axes(), facts, bus, drives: tables(bus, "drive") };
             search.run(&goes_on, &mut added, &mut wrong)?;
             if !goes_on() {
                 return Err(Stop::failed("interrupted; nothing is written"));
@@ -86,17 +89,16 @@ impl Search<'_> {
         wrong: &mut Vec<String>,
     ) -> Result<(), Stop> {
         let search = self.protocol.outline.search;
-        let axes = self.plan.axes();
+        let axes = &self.axes;
         let found = match search.probes {
             // One by one: what is read of a drive may be a key of its own.
             true => (0..axes.len()).map(|index| self.found(index, index..index + 1, goes_on)).collect(),
             false => self.found(0, 0..axes.len(), goes_on).map(|all| vec![all; axes.len()]),
         };
         let found: Vec<Vec<Found>> = found.map_err(Stop::failed)?;
-        for (index, axis) in axes.iter().enumerate() {
+        for (index, (axis, DriveFacts { place, .. })) in axes.iter().zip(&self.facts.drives).enumerate() {
             let (name, table) = (&axis.name, self.drives.get(index));
-            let place = self.plan.place(index).unwrap_or_default();
-            let Some(there) = found[index].iter().find(|found| self.is_at(found, &place)) else {
+            let Some(there) = found[index].iter().find(|found| self.is_at(found, place)) else {
                 // Who else is there, or that it is left alone.
                 let other = found[index].iter().find(|found| found.lines.is_empty() && search.probes);
                 let no_drive = || format!("no drive of its type answers at {place}");
@@ -142,7 +144,7 @@ impl Search<'_> {
             let usual = || self.bus.get("defaults")?.get_ref().as_table()?.get(key);
             own.or_else(usual).or_else(|| self.bus.get(key)).and_then(|value| shown(value.get_ref()))
         };
-        let addresses = self.plan.addresses();
+        let addresses = self.facts.addresses();
         let addresses = addresses.get(drives).unwrap_or_default();
         (outline.search.run)(&Known { index, unit: outline.unit, answer: &answer }, addresses, goes_on)
     }

@@ -93,12 +93,14 @@ impl Reach {
 pub fn find(config: &Path, drive: &str) -> Result<(Plan, Arc<dyn Notation>), Stop> {
     let plan = load(config)?;
     let Some(bus) = plan.find(drive).map(|(bus, _)| bus).or_else(|| plan.find_device(drive)) else {
-        let drives = plan.axes().into_iter().map(|axis| axis.name.as_str());
-        let known: Vec<&str> = drives.chain(plan.buses.iter().flat_map(|bus| bus.devices())).collect();
+        let facts = plan.facts();
+        let devices = facts.iter().flat_map(|bus| &bus.devices);
+        let known: Vec<&str> =
+            plan.axes().into_iter().map(|axis| &axis.name).chain(devices).map(String::as_str).collect();
         let (config, known) = (config.display(), known.join(", "));
         return Err(Stop::usage(format!("{config} has no drive {drive}; it has {known}")));
     };
-    let notation = bus.notation();
+    let notation = bus.facts(plan.cycle.grid()).notation;
     Ok((plan, notation))
 }
 
@@ -145,7 +147,7 @@ fn alone(plan: &Plan, drive: &str, interrupt: &Interrupt) -> Result<Way, Stop> {
     for bus in &plan.buses {
         bus.require_idle(&Os::default()).map_err(|error| refused(error.into()))?;
     }
-    let probe = plan.buses.first().and_then(|bus| bus.probe());
+    let probe = plan.facts().first().and_then(|bus| bus.probe);
     let master = Master::from_plan(plan).start().map_err(refused)?;
     let Some(acyclic) = master.acyclics().iter().find(|acyclic| acyclic.axis() == drive).cloned() else {
         return Err(Stop::failed(format!("drive {drive} has no acyclic access")));

@@ -37,7 +37,7 @@ impl Sim {
         }
         let interrupt = Interrupt::catch().map_err(Stop::failed)?;
         let drives: usize = plan.buses.iter().map(|bus| bus.axes().len()).sum();
-        let devices: usize = plan.buses.iter().map(|bus| bus.devices().len()).sum();
+        let devices: usize = plan.facts().iter().map(|bus| bus.devices.len()).sum();
         let listening = match drives {
             0 => plural(devices as u64, "simulated device"),
             drives => plural(drives as u64, "simulated drive"),

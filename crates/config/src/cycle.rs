@@ -2,8 +2,7 @@
 
 use std::ops::RangeInclusive;
 
-use fieldbeat_core::bus::BusPlan;
-use fieldbeat_core::cycle::{CyclePlan, Guard, OnCost, Overrun, Shares, Wait, WatchAfter};
+use fieldbeat_core::cycle::{CyclePlan, Guard, OnCost, Overrun, Plan, Shares, Wait, WatchAfter};
 use fieldbeat_core::rt::{Memory, Realtime};
 use fieldbeat_core::time::{Ns, S, US};
 use fieldbeat_keys::form::Form;
@@ -88,14 +87,16 @@ pub(super) fn cycle(table: &mut Table<'_>) -> CyclePlan {
 }
 
 /// The bus whose clock leads has to be there, and to have one.
-pub(super) fn check_reference(root: &Table<'_>, cycle: &CyclePlan, buses: &[Box<dyn BusPlan>]) {
-    let Some(reference) = &cycle.reference else { return };
-    let clocked: Vec<&str> = buses.iter().filter(|bus| bus.has_clock()).map(|bus| bus.name()).collect();
+pub(super) fn check_reference(root: &Table<'_>, plan: &Plan) {
+    let Some(reference) = &plan.cycle.reference else { return };
+    let facts = plan.facts();
+    let mut buses = plan.buses.iter().map(|bus| bus.name()).zip(&facts);
+    let clocked: Vec<&str> = buses.clone().filter(|(_, bus)| bus.has_clock).map(|(name, _)| name).collect();
     if clocked.contains(&reference.as_str()) {
         return;
     }
-    let what = match buses.iter().find(|bus| bus.name() == reference) {
-        Some(bus) => format!("is a bus without a clock ({})", bus.protocol()),
+    let what = match buses.find(|(name, _)| name == reference) {
+        Some((_, bus)) => format!("is a bus without a clock ({})", bus.protocol),
         None => "is not a bus of this machine".to_owned(),
     };
     let remedy = match clocked.as_slice() {

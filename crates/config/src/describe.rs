@@ -3,9 +3,9 @@
 use fieldbeat_core::axis::{
     AxisPlan, FollowingError, Health, HeldBy, InPosition, Load, OwnerLost, StopHow, StopThen, StopTimeout,
 };
-use fieldbeat_core::bus::BusPlan;
 use fieldbeat_core::bus::desired::{Capabilities, Generator, Velocities};
-use fieldbeat_core::cycle::bound::{Pace, Paced, bound, group, paced, silence};
+use fieldbeat_core::bus::{BusFacts, DriveFacts};
+use fieldbeat_core::cycle::bound::{Pace, Paced, bound, group, paced_by, silence};
 use fieldbeat_core::cycle::record::Record;
 use fieldbeat_core::cycle::{CyclePlan, Guard, Overrun, Plan, Shares, Wait};
 
@@ -15,22 +15,21 @@ use fieldbeat_core::time::{Ns, S, nanos};
 /// What this plan will do, line by line: the cycle, then each bus and each drive, with the bound of its stop and with
 /// what happens if the master dies. A drive that differs from the one before it only in its first line refers to it.
 pub fn describe(plan: &Plan) -> Vec<String> {
-    let (axes, paced) = (plan.axes(), paced(plan));
+    let (axes, facts) = (plan.axes(), plan.facts());
+    let paced = paced_by(plan, &facts);
     let mut drives = paced.iter();
     let source = plan.source.as_ref().map_or("built in code".to_owned(), |path| path.display().to_string());
-    let mut lines =
-        vec![format!("{source}: {}, {}", taking_part(&plan.buses), count(plan.buses.len(), "bus"))];
+    let mut lines = vec![format!("{source}: {}, {}", taking_part(&facts), count(plan.buses.len(), "bus"))];
     lines.extend(cycle(&plan.cycle));
-    for bus in &plan.buses {
-        let mut own = bus.describe(plan.cycle.period_ns).into_iter();
-        lines.push(format!("bus {}: {}, {}", bus.name(), bus.protocol(), taking_part([bus])));
+    for (bus, facts) in plan.buses.iter().zip(&facts) {
+        let mut own = bus.describe(plan.cycle.grid()).into_iter();
+        lines.push(format!("bus {}: {}, {}", bus.name(), facts.protocol, taking_part([facts])));
         let mut before: Option<(&str, Vec<String>)> = None;
-        for (index, drive) in drives.by_ref().take(bus.axes().len()).enumerate() {
-            let can = bus.capabilities(index, plan.cycle.period_ns);
+        for (DriveFacts { capabilities, .. }, drive) in facts.drives.iter().zip(drives.by_ref()) {
             let paragraph = own.next().unwrap_or_default();
             let mut own_lines = paragraph.lines().map(str::to_owned);
             let first = own_lines.next().unwrap_or_default();
-            let rest: Vec<String> = own_lines.chain(axis(drive, &can, &paced, &plan.cycle)).collect();
+            let rest: Vec<String> = own_lines.chain(axis(drive, capabilities, &paced, &plan.cycle)).collect();
             let drive = drive.axis;
             match &before {
                 Some((like, same)) if *same == rest => {
@@ -44,8 +43,8 @@ pub fn describe(plan: &Plan) -> Vec<String> {
             }
         }
         lines.extend(own);
-        lines.extend(bus.describe_turns(plan.cycle.grid()));
-        lines.extend(clock(&**bus, plan.cycle.reference.as_deref()));
+        let leads = plan.cycle.reference.as_deref() == Some(bus.name());
+        lines.extend(facts.has_clock.then(|| clock(leads)));
     }
     lines.push(
         "one master each: another one of this host that has one of these interfaces or drives is named, and \
@@ -72,8 +71,8 @@ pub fn describe(plan: &Plan) -> Vec<String> {
 }
 
 /// Drives; where there are none, devices.
-fn taking_part<'a>(buses: impl IntoIterator<Item = &'a Box<dyn BusPlan>>) -> String {
-    let counts = buses.into_iter().map(|bus| (bus.axes().len(), bus.devices().len()));
+fn taking_part<'a>(buses: impl IntoIterator<Item = &'a BusFacts>) -> String {
+    let counts = buses.into_iter().map(|bus| (bus.drives.len(), bus.devices.len()));
     match counts.fold((0, 0), |(drives, devices), (more, others)| (drives + more, devices + others)) {
         (0, devices) => count(devices, "device"),
         (drives, _) => count(drives, "drive"),
@@ -167,13 +166,13 @@ fn cycle(cycle: &CyclePlan) -> Vec<String> {
     lines
 }
 
-/// Which of a bus and the grid follows the other, if the bus has a clock.
-fn clock(bus: &dyn BusPlan, reference: Option<&str>) -> Option<String> {
-    let role = match reference == Some(bus.name()) {
+/// Which of a bus with a clock and the grid follows the other.
+fn clock(leads: bool) -> String {
+    let role = match leads {
         true => "leads: the grid follows it ([cycle] reference)",
         false => "follows the grid ([cycle] reference would let it lead)",
     };
-    bus.has_clock().then(|| format!("  its clock {role}"))
+    format!("  its clock {role}")
 }
 
 fn black_box(plan: &Plan) -> String {

@@ -3,9 +3,9 @@
 use serde_json::{Value, json};
 
 use super::cycle::{COSTS, MEMORIES, REALTIMES, WAITS};
-use fieldbeat_core::axis::{AxisPlan, Load};
-use fieldbeat_core::bus::BusPlan;
-use fieldbeat_core::cycle::bound::{stop_bound, stopping_with};
+use fieldbeat_core::axis::Load;
+use fieldbeat_core::bus::{DriveFacts, Reply};
+use fieldbeat_core::cycle::bound::{Paced, bound, group, paced_by};
 use fieldbeat_core::cycle::{CyclePlan, Guard, Overrun, Plan};
 use fieldbeat_core::time::nanos;
 use fieldbeat_keys::drive::{HOLDERS, HOWS, THENS, TIMEOUTS};
@@ -30,25 +30,21 @@ use fieldbeat_keys::error::ConfigError;
 /// - `errors`: why this host cannot carry the plan; empty if it can. Each has `file`, `line`, `key`, `value` and
 ///   `message`.
 pub fn json(plan: &Plan, errors: &[ConfigError]) -> Value {
-    let buses: Vec<Value> = plan
-        .buses
-        .iter()
-        .map(|bus| {
-            json!({
-                "name": bus.name(),
-                "protocol": bus.protocol(),
-                "has_clock": bus.has_clock(),
-                "drives": bus.axes().iter().map(|axis| &axis.name).collect::<Vec<_>>(),
-                "devices": bus.devices(),
-            })
-        })
-        .collect();
-    let mut drives = Vec::new();
-    for bus in &plan.buses {
-        let described = bus.describe(plan.cycle.period_ns);
-        for (index, (axis, lines)) in bus.axes().into_iter().zip(described).enumerate() {
-            let slot = drives.len();
-            drives.push(drive(plan, slot, &**bus, index, axis, &lines));
+    let facts = plan.facts();
+    let paced = paced_by(plan, &facts);
+    let (mut buses, mut drives) = (Vec::new(), Vec::new());
+    for (bus, facts) in plan.buses.iter().zip(&facts) {
+        let axes = bus.axes();
+        buses.push(json!({
+            "name": bus.name(),
+            "protocol": facts.protocol,
+            "has_clock": facts.has_clock,
+            "drives": axes.iter().map(|axis| &axis.name).collect::<Vec<_>>(),
+            "devices": facts.devices,
+        }));
+        for (of, lines) in facts.drives.iter().zip(bus.describe(plan.cycle.grid())) {
+            let stops = (&paced[drives.len()], &paced[..]);
+            drives.push(drive(&plan.cycle, bus.name(), facts.protocol, of, stops, &lines));
         }
     }
     let groups: Vec<Value> =
@@ -99,9 +95,17 @@ fn cycle(cycle: &CyclePlan) -> Value {
     })
 }
 
-/// The drive of this slot, `index` on its bus; `lines` are what `check` says of it.
-fn drive(plan: &Plan, slot: usize, bus: &dyn BusPlan, index: usize, axis: &AxisPlan, lines: &str) -> Value {
-    let stop_bound_cycles = stop_bound(plan, slot);
+/// A drive among all; `lines` are what `check` says of it.
+fn drive(
+    cycle: &CyclePlan,
+    bus: &str,
+    protocol: &str,
+    facts: &DriveFacts,
+    (paced, all): (&Paced<'_>, &[Paced<'_>]),
+    lines: &str,
+) -> Value {
+    let (axis, stop_bound_cycles) = (paced.axis, bound(paced, all));
+    let reply_within_ns = if let Reply::Connection(ns) = facts.reply { Some(ns) } else { None };
     let (load, held_by) = match axis.load {
         Load::Level => ("level", None),
         Load::Vertical(held_by) => ("vertical", word(&HOLDERS, held_by)),
@@ -109,17 +113,17 @@ fn drive(plan: &Plan, slot: usize, bus: &dyn BusPlan, index: usize, axis: &AxisP
     let limits = &axis.limits;
     json!({
         "name": axis.name,
-        "bus": bus.name(),
-        "protocol": bus.protocol(),
+        "bus": bus,
+        "protocol": protocol,
         "address": lines.lines().next(),
         "unit": axis.units.unit.to_string(),
         "divisor": axis.divisor,
         "phase": axis.phase,
-        "period_ns": plan.cycle.period_ns.saturating_mul(axis.divisor.into()),
-        "reply_within_ns": bus.reply_within_ns(index),
-        "stops_with": stopping_with(plan, slot),
+        "period_ns": cycle.period_ns.saturating_mul(axis.divisor.into()),
+        "reply_within_ns": reply_within_ns,
+        "stops_with": group(paced, all).map(|one| &one.axis.name).collect::<Vec<_>>(),
         "stop_bound_cycles": stop_bound_cycles,
-        "stop_bound_ns": stop_bound_cycles.saturating_mul(plan.cycle.period_ns),
+        "stop_bound_ns": stop_bound_cycles.saturating_mul(cycle.period_ns),
         "stop": {
             "how": word(&HOWS, axis.stop.how),
             "deceleration": axis.stop.deceleration,
@@ -136,7 +140,7 @@ fn drive(plan: &Plan, slot: usize, bus: &dyn BusPlan, index: usize, axis: &AxisP
         },
         "load": load,
         "held_by": held_by,
-        "drive_watchdog_ns": bus.drive_watchdog_ns(index),
+        "drive_watchdog_ns": facts.watchdog_ns,
         "if_master_dies": lines.lines().find_map(|line| line.strip_prefix(DEATH)),
     })
 }

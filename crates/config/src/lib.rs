@@ -161,7 +161,7 @@ fn machine(mut root: Table<'_>, change: impl FnOnce(&mut Plan, &Table<'_>)) -> C
             table.finish();
         }
     }
-    cycle::check_reference(&root, &plan.cycle, &plan.buses);
+    cycle::check_reference(&root, &plan);
     cycle::check_period(&root, &plan.cycle, plan.axes().len());
     if let Some(why) = plan.black_box_fault() {
         root.fault("cycle.black_box", why);

@@ -4,6 +4,7 @@ use toml::de::DeValue;
 
 use fieldbeat_core::axis::limits::{check_command, check_row};
 use fieldbeat_core::axis::{AxisPlan, Command, Failure, Jog, Lacks, Move, Profile, Row, Target, Unit};
+use fieldbeat_core::bus::facts::of_drives;
 use fieldbeat_core::cycle::{CyclePlan, Plan};
 use fieldbeat_core::time::{MS, Ns, S, nanos};
 use fieldbeat_keys::form::{Form, Range};
@@ -159,10 +160,12 @@ const LEAST_DEAD_MAN_NS: u64 = 3 * RENEW_EVERY_NS;
 
 /// Reads `[soak]` of a machine that is `plan`.
 pub(super) fn soak(table: &mut Table<'_>, plan: &Plan) -> SoakPlan {
-    let mut axes: Vec<AxisSoak> = known(plan)
+    let known = known(plan);
+    let mut axes: Vec<AxisSoak> = known
+        .iter()
         .map(|(axis, lacks)| AxisSoak {
             name: axis.name.clone(),
-            pattern: usual(axis, &lacks),
+            pattern: usual(axis, lacks),
             following_error: None,
         })
         .collect();
@@ -172,13 +175,13 @@ pub(super) fn soak(table: &mut Table<'_>, plan: &Plan) -> SoakPlan {
         let name = table.text("drive", None, "the name of a drive", |name| Some(name.to_owned()));
         let given = Given::read(&mut table);
         let place = name.as_ref().and_then(|name| axes.iter().position(|axis| axis.name == *name));
-        match (name, place.and_then(|place| Some((place, known(plan).nth(place)?)))) {
+        match (name, place.and_then(|place| Some((place, known.get(place)?)))) {
             (Some(_), Some((place, (axis, lacks)))) => {
                 if named.contains(&place) {
                     table.fault("drive", "has its pattern already: each axis has one [[soak.axis]]");
                 }
                 named.push(place);
-                given.apply(&table, &mut axes[place], axis, &lacks);
+                given.apply(&table, &mut axes[place], axis, lacks);
             }
             (Some(_), None) => {
                 let names: Vec<&str> = axes.iter().map(|axis| axis.name.as_str()).collect();
@@ -193,12 +196,10 @@ pub(super) fn soak(table: &mut Table<'_>, plan: &Plan) -> SoakPlan {
 }
 
 /// The axes, and what their drives do not do.
-fn known(plan: &Plan) -> impl Iterator<Item = (&AxisPlan, Lacks)> {
-    let period_ns = plan.cycle.period_ns;
-    plan.buses.iter().flat_map(move |bus| {
-        let axes = bus.axes().into_iter().enumerate();
-        axes.map(move |(index, axis)| (axis, bus.capabilities(index, period_ns).lacks))
-    })
+fn known(plan: &Plan) -> Vec<(&AxisPlan, Lacks)> {
+    let facts = plan.facts();
+    let lacks = of_drives(&facts).map(|(_, drive)| drive.capabilities.lacks);
+    plan.axes().into_iter().zip(lacks).collect()
 }
 
 /// How an axis moves of which nothing is said: well inside its limits, or not at all.

@@ -79,11 +79,11 @@ pub struct Subject {
 impl Subject {
     /// A whole machine.
     pub fn of(plan: &Plan) -> Subject {
-        let period_ns = plan.cycle.period_ns;
+        let grid = plan.cycle.grid();
         let demand = (plan.cycle.cost != OnCost::Ignore).then(|| Demand::of(plan));
         let mut subject =
             Subject { source: plan.source.clone(), demand, ..Subject::cycle(plan.cycle.clone()) };
-        for way in plan.buses.iter().filter_map(|bus| Way::of(bus.as_ref(), period_ns)) {
+        for way in plan.buses.iter().filter_map(|bus| Way::of(bus.as_ref(), grid)) {
             match way {
                 Way::Wire(wire) => subject.wires.push(wire),
                 Way::Line(line) => subject.lines.push(line),

@@ -4,7 +4,7 @@ use std::io;
 use std::net::SocketAddrV4;
 use std::sync::{Mutex, PoisonError};
 
-use fieldbeat_core::bus::BusPlan;
+use fieldbeat_core::bus::{BusPlan, Grid};
 use fieldbeat_core::net::{Carriers, Datagrams, Frames, Serial, SerialLine, UdpOptions};
 
 /// Where a bus meets the network, as it says itself when it is opened.
@@ -49,13 +49,13 @@ pub(super) enum Way {
 
 impl Way {
     /// That of a bus: the first carrier that it opens. Refused, so that nothing is opened.
-    pub(super) fn of(bus: &dyn BusPlan, period_ns: u64) -> Option<Way> {
+    pub(super) fn of(bus: &dyn BusPlan, grid: Grid) -> Option<Way> {
         let noted = FirstOpened::default();
-        let _ = bus.open(period_ns, &noted);
+        let _ = bus.open(grid.period_ns, &noted);
         let name = bus.name().to_owned();
         Some(match noted.0.into_inner().ok()?? {
             Carrier::Datagrams(local, options) => {
-                let drives = bus.addresses();
+                let drives = bus.facts(grid).addresses();
                 Way::Wire(Wire { bus: name, local, options, drives })
             }
             Carrier::Frames(interface) => Way::Line(Line { bus: name, interface }),

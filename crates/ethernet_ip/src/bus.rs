@@ -2,7 +2,6 @@
 
 use std::net::{Ipv4Addr, SocketAddrV4};
 use std::os::fd::RawFd;
-use std::sync::Arc;
 
 use super::counters::Own;
 use super::exchange;
@@ -13,7 +12,7 @@ use super::target::commanding;
 use super::wire::io::{Outgoing, Packet, PacketError};
 use fieldbeat_core::axis::acyclic;
 use fieldbeat_core::bus::native::{NativeBytes, WantedOutputs};
-use fieldbeat_core::bus::{Bus, Cycle, Ends, Notes, OpenError, Slot, Unmatched, drives};
+use fieldbeat_core::bus::{Bus, BusNumbers, Cycle, Ends, Notes, OpenError, Opened, Slot, Unmatched, drives};
 use fieldbeat_core::errors::no_descriptor;
 use fieldbeat_core::net::{
     Carriers, Datagrams, LinkNotes, Lock, Outbox, Sent, StreamPeer, Streams, UdpOptions,
@@ -29,26 +28,20 @@ const RECEIVED: usize = 128;
 
 /// One socket, its drives and their sessions.
 pub(crate) struct EthernetIpBus {
-    name: String,
     net: Box<dyn Datagrams>,
     outbox: Outbox,
     stations: Vec<Station>,
     /// Of the drives, in order, each with its index.
     by_address: Box<[(Ipv4Addr, usize)]>,
     unmatched: Unmatched,
-    ends: Ends,
     sessions: Box<dyn Streams>,
-    notes: Arc<SessionNotes>,
     /// The drives are this master's until their connections are given up.
     _locks: Vec<Lock>,
 }
 
 impl std::fmt::Debug for EthernetIpBus {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("EthernetIpBus")
-            .field("name", &self.name)
-            .field("drives", &self.stations.len())
-            .finish()
+        f.debug_struct("EthernetIpBus").field("drives", &self.stations.len()).finish_non_exhaustive()
     }
 }
 
@@ -72,11 +65,7 @@ impl Notes for SessionNotes {
 
 impl EthernetIpBus {
     /// Opens the socket of `plan`, which is free of faults, and begins to connect to its drives.
-    pub fn open(
-        plan: &EthernetIpPlan,
-        period_ns: u64,
-        carriers: &dyn Carriers,
-    ) -> Result<Box<dyn Bus>, OpenError> {
+    pub fn open(plan: &EthernetIpPlan, period_ns: u64, carriers: &dyn Carriers) -> Result<Opened, OpenError> {
         // Who only reads or sends explicit messages takes nothing from the one who owns the outputs.
         let owned = plan.drives.iter().filter(|drive| drive.is_owned());
         let locks = drives::lock(&plan.name, owned.map(|drive| (&drive.axis, drive.address)), carriers)?;
@@ -137,18 +126,17 @@ impl EthernetIpBus {
         let mut by_address: Box<[_]> =
             plan.drives.iter().enumerate().map(|(index, drive)| (*drive.address.ip(), index)).collect();
         by_address.sort_unstable();
-        Ok(Box::new(EthernetIpBus {
-            name: plan.name.clone(),
+        let notes = SessionNotes { sessions: notes, remarks, links: sessions.notes() };
+        let bus = EthernetIpBus {
             net,
             outbox: Outbox::new(&destinations, ROOM),
             stations,
             by_address,
             unmatched: Unmatched::default(),
-            ends,
-            notes: Arc::new(SessionNotes { sessions: notes, remarks, links: sessions.notes() }),
             sessions,
             _locks: locks,
-        }))
+        };
+        Ok(Opened::new(bus, ends, notes))
     }
 
     /// Takes in what is in the socket and hands each packet to the station of its connection.
@@ -222,10 +210,6 @@ fn remedy(error: &std::io::Error) -> &'static str {
 }
 
 impl Bus for EthernetIpBus {
-    fn name(&self) -> &str {
-        &self.name
-    }
-
     fn memory(&self, regions: &mut Regions) {
         regions.add(self);
         self.net.memory(regions);
@@ -307,16 +291,8 @@ impl Bus for EthernetIpBus {
         done
     }
 
-    fn unmatched(&self) -> Unmatched {
-        Unmatched { dropped: self.net.dropped(), ..self.unmatched }
-    }
-
-    fn ends(&mut self) -> Option<&mut Ends> {
-        Some(&mut self.ends)
-    }
-
-    fn notes(&self) -> Option<Arc<dyn Notes>> {
-        Some(Arc::clone(&self.notes) as Arc<dyn Notes>)
+    fn numbers(&self) -> BusNumbers {
+        Unmatched { dropped: self.net.dropped(), ..self.unmatched }.into()
     }
 
     fn helper_ended(&self) -> bool {

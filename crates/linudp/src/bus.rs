@@ -2,7 +2,6 @@
 
 use std::net::{Ipv4Addr, SocketAddrV4};
 use std::os::fd::RawFd;
-use std::sync::Arc;
 
 use super::counters::OWN;
 use super::diagnosis::DIAGNOSIS;
@@ -13,16 +12,13 @@ use super::plan::{LinUdpDrive, LinUdpPlan, MonitorPlan, Serial};
 use super::profile;
 use super::station::{SerialNote, Station};
 use super::wire::{ErrorCode, REQUEST_MAX, RESPONSE_MAX, SHORTEST};
-use fieldbeat_core::axis::acyclic::Notation;
-use fieldbeat_core::axis::feedback::MONITOR_CHANNELS;
-use fieldbeat_core::axis::{AxisPlan, FaultNames, FoundRunning, MonitorChannel, PlanFault};
-use fieldbeat_core::bus::desired::Capabilities;
-use fieldbeat_core::bus::diagnosis::Row;
+use fieldbeat_core::axis::{AxisPlan, FoundRunning, PlanFault};
 use fieldbeat_core::bus::load::{Load, Medium, Way};
 use fieldbeat_core::bus::native::{NativeBytes, NativeLayout, WantedOutputs};
 use fieldbeat_core::bus::variant::Variant;
 use fieldbeat_core::bus::{
-    Bus, BusPlan, Cycle, Ends, Exchange, LastResort, Notes, OpenError, OwnCounter, Slot, Unmatched, drives,
+    Bus, BusFacts, BusNumbers, BusPlan, Cycle, DriveFacts, Ends, Exchange, Grid, LastResort, Notes,
+    OpenError, Opened, Reply, Slot, Unmatched, drives,
 };
 use fieldbeat_core::errors::no_descriptor;
 use fieldbeat_core::net::{Carriers, Datagrams, Lock, Outbox, Sent, UdpOptions};
@@ -39,33 +35,28 @@ const MOST_BATCHES: usize = 4;
 
 /// One socket and its drives.
 pub struct LinUdpBus {
-    name: String,
     net: Box<dyn Datagrams>,
     outbox: Outbox,
     stations: Vec<Station>,
     senders: Senders,
-    ends: Ends,
-    notes: Arc<SerialNotes>,
     unmatched: Unmatched,
     /// Exchanges of earlier cycles may be owed.
     has_earlier: bool,
     /// The orderly end has begun: no more requests.
     is_ending: bool,
-    /// Until it is taken.
-    last: Option<LastStop>,
     /// The drives are this master's until the socket is closed.
     _locks: Vec<Lock>,
 }
 
 impl std::fmt::Debug for LinUdpBus {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("LinUdpBus").field("name", &self.name).field("drives", &self.stations.len()).finish()
+        f.debug_struct("LinUdpBus").field("drives", &self.stations.len()).finish_non_exhaustive()
     }
 }
 
 impl LinUdpBus {
     /// Opens the socket of `plan`.
-    pub fn open(plan: &LinUdpPlan, carriers: &dyn Carriers) -> Result<LinUdpBus, OpenError> {
+    pub fn open(plan: &LinUdpPlan, carriers: &dyn Carriers) -> Result<Opened, OpenError> {
         let addresses = plan.drives.iter().map(|drive| (&drive.axis, drive.address));
         let locks = drives::lock(&plan.name, addresses, carriers)?;
         // Until its bucket is full, an absent drive gets its requests like any other.
@@ -93,20 +84,18 @@ impl LinUdpBus {
         let notes = SerialNotes(plan.drives.iter().zip(&stations).map(note).collect());
         let powers = stations.iter().map(Station::power_sent);
         let last = twin.map(|twin| LastStop::new(twin, plan.drives.iter().zip(powers)));
-        Ok(LinUdpBus {
-            name: plan.name.clone(),
+        let bus = LinUdpBus {
             net,
             outbox: Outbox::new(&peers, REQUEST_MAX),
             stations,
             senders: Senders::new(&peers),
-            ends,
-            notes: Arc::new(notes),
             unmatched: Unmatched::default(),
             has_earlier: false,
             is_ending: false,
-            last,
             _locks: locks,
-        })
+        };
+        let last_resort = last.map(|last| Box::new(last) as Box<dyn LastResort>);
+        Ok(Opened { last_resort, ..Opened::new(bus, ends, notes) })
     }
 
     /// Takes in what is in the socket and hands each datagram to the station of its sender.
@@ -207,10 +196,6 @@ fn remedy(error: &std::io::Error) -> &'static str {
 }
 
 impl Bus for LinUdpBus {
-    fn name(&self) -> &str {
-        &self.name
-    }
-
     fn memory(&self, regions: &mut Regions) {
         regions.add(self);
         self.net.memory(regions);
@@ -288,10 +273,6 @@ impl Bus for LinUdpBus {
         bytes.put_outputs(outputs, received_at, || Some(self.outbox.bytes(index)))
     }
 
-    fn last_resort(&mut self) -> Option<Box<dyn LastResort>> {
-        self.last.take().map(|last| Box::new(last) as Box<dyn LastResort>)
-    }
-
     fn shut_down(&mut self, _cycle: &Cycle, slots: &mut [Slot]) -> bool {
         // The drives keep no connection: once the axes are down, nothing more has to be sent, but what is owed has its
         // time.
@@ -300,27 +281,14 @@ impl Bus for LinUdpBus {
         !slots.iter().any(|slot| slot.has_earlier || matches!(slot.exchange, Exchange::Owed { .. }))
     }
 
-    fn unmatched(&self) -> Unmatched {
-        Unmatched { dropped: self.net.dropped(), ..self.unmatched }
-    }
-
-    fn notes(&self) -> Option<Arc<dyn Notes>> {
-        let notes = Arc::clone(&self.notes);
-        Some(notes)
-    }
-
-    fn ends(&mut self) -> Option<&mut Ends> {
-        Some(&mut self.ends)
+    fn numbers(&self) -> BusNumbers {
+        Unmatched { dropped: self.net.dropped(), ..self.unmatched }.into()
     }
 }
 
 impl BusPlan for LinUdpPlan {
     fn name(&self) -> &str {
         &self.name
-    }
-
-    fn protocol(&self) -> &'static str {
-        super::PROTOCOL
     }
 
     fn axes(&self) -> Vec<&AxisPlan> {
@@ -334,53 +302,36 @@ impl BusPlan for LinUdpPlan {
         drives::faults(&self.drives, period_ns, |drive| &drive.axis, LinUdpDrive::faults, same, taken)
     }
 
-    fn reply_within(&self, index: usize) -> u32 {
-        self.drives.get(index).map_or(1, LinUdpDrive::replies_within)
+    fn facts(&self, _grid: Grid) -> BusFacts {
+        let drive = |drive: &LinUdpDrive| DriveFacts {
+            reply: Reply::Cycles(drive.replies_within()),
+            monitored: drive.monitor.channels(),
+            ..DriveFacts::at(drive.address, profile::capabilities(drive))
+        };
+        BusFacts {
+            load: Some(Load {
+                medium: Medium::Datagrams,
+                way: Way::Address(*self.bind.ip()),
+                bytes: SHORTEST,
+                frames: Vec::new(),
+            }),
+            own_counters: &OWN,
+            fault_names: |code| u16::try_from(code).ok().and_then(|code| ErrorCode(code).name()),
+            diagnosis: &DIAGNOSIS,
+            ..BusFacts::new(super::PROTOCOL, Upids, self.drives.iter().map(drive).collect())
+        }
     }
 
-    fn own_counters(&self) -> &'static [OwnCounter] {
-        &OWN
-    }
-
-    fn describe(&self, period_ns: u64) -> Vec<String> {
-        self.drives.iter().map(|drive| drive.describe(self.bind, period_ns)).collect()
-    }
-
-    fn open(&self, _period_ns: u64, carriers: &dyn Carriers) -> Result<Box<dyn Bus>, OpenError> {
-        Ok(Box::new(LinUdpBus::open(self, carriers)?))
-    }
-
-    fn load(&self, _period_ns: u64) -> Option<Load> {
-        Some(Load {
-            medium: Medium::Datagrams,
-            way: Way::Address(*self.bind.ip()),
-            bytes: SHORTEST,
-            frames: Vec::new(),
-        })
-    }
-
-    fn monitored(&self, index: usize) -> [Option<MonitorChannel>; MONITOR_CHANNELS] {
-        self.drives.get(index).map_or([const { None }; MONITOR_CHANNELS], |drive| drive.monitor.channels())
+    fn describe(&self, grid: Grid) -> Vec<String> {
+        self.drives.iter().map(|drive| drive.describe(self.bind, grid.period_ns)).collect()
     }
 
     fn native_layout(&self, _index: usize) -> NativeLayout {
         layout()
     }
 
-    fn capabilities(&self, index: usize, _period_ns: u64) -> Capabilities {
-        profile::capabilities(&self.drives[index])
-    }
-
-    fn fault_names(&self) -> FaultNames {
-        |code| u16::try_from(code).ok().and_then(|code| ErrorCode(code).name())
-    }
-
-    fn diagnosis(&self) -> &'static [Row] {
-        &DIAGNOSIS
-    }
-
-    fn notation(&self) -> Arc<dyn Notation> {
-        Arc::new(Upids)
+    fn open(&self, _period_ns: u64, carriers: &dyn Carriers) -> Result<Opened, OpenError> {
+        LinUdpBus::open(self, carriers)
     }
 
     fn reaching(&self, index: usize) -> Option<Box<dyn BusPlan>> {
@@ -392,9 +343,5 @@ impl BusPlan for LinUdpPlan {
 
     fn variant(&self, wanted: &Variant) -> Option<Box<dyn BusPlan>> {
         Some(Box::new(LinUdpPlan::variant(self, wanted)?))
-    }
-
-    fn addresses(&self) -> Vec<SocketAddrV4> {
-        self.drives.iter().map(|drive| drive.address).collect()
     }
 }

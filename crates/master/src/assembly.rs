@@ -5,14 +5,14 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use super::MasterError;
-use fieldbeat_core::axis::acyclic::{self, Acyclic, Commanding};
+use fieldbeat_core::axis::acyclic::Acyclic;
 use fieldbeat_core::axis::cell;
 use fieldbeat_core::axis::doorbell::Bells;
 use fieldbeat_core::axis::handle::{URGENT_ROOM, most_unended, room_for_ends};
 use fieldbeat_core::axis::newest;
 use fieldbeat_core::axis::{Axis, AxisEnds, Feedback, Observer, Pulse};
 use fieldbeat_core::bus::diagnosis::Seen;
-use fieldbeat_core::bus::{BusClock, LastResort, OpenError, Unmatched};
+use fieldbeat_core::bus::{BusClock, BusFacts, DeviceEnds, LastResort, OpenError, Opened, Reply, Unmatched};
 use fieldbeat_core::cycle::Plan;
 use fieldbeat_core::cycle::bound::{self, Paced};
 use fieldbeat_core::cycle::engine::{AxisEntry, AxisOutlet, Channels, Control, Engine};
@@ -83,7 +83,7 @@ pub fn assemble<C: Clock>(
     task: Option<Task>,
     control: Control,
 ) -> Result<Assembly<C>, OpenError> {
-    let period_ns = plan.cycle.period_ns;
+    let (period_ns, grid) = (plan.cycle.period_ns, plan.cycle.grid());
     let pulse = Pulse::default();
     let (wires, mut last_resorts) = (Wires::default(), Vec::new());
     let mut regions = Regions::default();
@@ -99,10 +99,11 @@ pub fn assemble<C: Clock>(
     let gate = Gate::new(wires.clone(), log.clone());
     for (place, bus_plan) in plan.buses.iter().enumerate() {
         log.opens(place);
-        let mut bus = bus_plan.open(period_ns, carriers)?;
-        let (first, notes) = (entries.len(), bus.notes());
-        last_resorts.extend(bus.last_resort());
-        for (index, axis) in bus_plan.axes().into_iter().enumerate() {
+        let Opened { bus, ends, notes, last_resort } = bus_plan.open(period_ns, carriers)?;
+        let (first, facts) = (entries.len(), bus_plan.facts(grid));
+        last_resorts.extend(last_resort);
+        let drives = bus_plan.axes().into_iter().zip(&facts.drives).zip(ends.drives);
+        for (index, ((axis, drive), ends)) in drives.enumerate() {
             // The queues of the first member hold the parts of all. A group of the plan has the full room for each
             // of them; any other one at least has room for one call, and for its stops.
             let group = axis.stop.group;
@@ -139,33 +140,34 @@ pub fn assemble<C: Clock>(
             // First probes are spread over a few cycles: all of them in one cycle would be a burst that never
             // occurs later.
             let first_probe = (entries.len() / PROBES_A_CYCLE) as u64;
-            let paced = Paced::of(&plan.cycle, &**bus_plan, index, axis);
-            let silence = bound::silence(&paced, plan.cycle.overrun);
-            let can = bus_plan.capabilities(index, period_ns);
-            let lacks = can.lacks;
+            let silence = bound::silence(&Paced::of(grid, drive, axis), plan.cycle.overrun);
             let controller = DriveController::new(
                 axis.clone(),
-                can,
+                drive.capabilities,
                 queues,
                 period_ns,
                 first_probe,
                 silence,
-                match bus_plan.fresh_within_ns(index, period_ns) {
-                    Some(_) => Probes::AtOwnRate,
-                    None if bus.is_one_frame() => Probes::Carried,
-                    None => Probes::Spaced,
+                match drive.reply {
+                    Reply::OwnClock(_) => Probes::AtOwnRate,
+                    _ if facts.is_one_frame => Probes::Carried,
+                    _ => Probes::Spaced,
                 },
             );
             let every = Duration::from_nanos(period_ns.saturating_mul(axis.divisor.into()));
-            // A bus without acyclic access leaves its end of the queue unused.
-            let ends = bus.acyclic(index).unwrap_or_else(|| acyclic::queue(1, Commanding::none()).0);
             let observer = Observer::new(reader, wires.clone());
-            let acyclic = Acyclic::new(&axis.name, ends, bus_plan.notation(), observer.clone(), every);
+            let notation = Arc::clone(&facts.notation);
+            let acyclic = Acyclic::new(&axis.name, ends.acyclic, notation, observer.clone(), every);
             let (numbers_in, numbers) = cell::cell(DriveNumbers::default());
             let connection = notes.clone().map(|notes| (notes, index));
-            let (name, protocol, diagnosis) = (axis.name.clone(), bus_plan.protocol(), bus_plan.diagnosis());
-            let info =
-                AxisInfo { name, protocol, connection, diagnosis, seen: Seen::default(), bus: buses.len() };
+            let info = AxisInfo {
+                name: axis.name.clone(),
+                protocol: facts.protocol,
+                connection,
+                diagnosis: facts.diagnosis,
+                seen: Seen::default(),
+                bus: buses.len(),
+            };
             gauges.axes.push(AxisGauge { info: info.clone(), observer: observer.clone(), numbers });
             entries.push(AxisEntry { controller, outlet: AxisOutlet { info, numbers: numbers_in } });
             axes.push(Axis::new(
@@ -181,32 +183,26 @@ pub fn assemble<C: Clock>(
                     events: event_out,
                     feedback: observer.clone(),
                     samples: sample_out,
-                    native: bus.native(index),
-                    faults: bus_plan.fault_names(),
-                    lacks,
+                    native: Some(ends.native),
+                    faults: facts.fault_names,
+                    lacks: drive.capabilities.lacks,
                 },
             ));
             acyclics.push(acyclic);
         }
-        let names = bus_plan.devices();
-        for (index, name) in names.iter().enumerate() {
-            devices.0.push(((*name).to_owned(), bus.device(index)));
-            if let Some((ends, observer)) = bus.device_acyclic(index) {
-                let period = Duration::from_nanos(period_ns);
-                of_devices.push(Acyclic::new(name, ends, bus_plan.notation(), observer.on(&wires), period));
-            }
+        for (name, DeviceEnds { native, acyclic, observer }) in facts.devices.iter().zip(ends.devices) {
+            devices.0.push((name.clone(), Some(native)));
+            let (notation, period) = (Arc::clone(&facts.notation), Duration::from_nanos(period_ns));
+            of_devices.push(Acyclic::new(name, acyclic, notation, observer.on(&wires), period));
         }
-        let grid = plan.cycle.grid();
-        let is_polled =
-            (0..entries.len() - first).any(|index| bus_plan.turn_within_ns(index, grid).is_some());
+        let is_polled = facts.drives.iter().any(|drive| matches!(drive.reply, Reply::Turn { .. }));
         let (unmatched_in, unmatched) = cell::cell(Unmatched::default());
         let (clock_in, clock) = cell::cell(None::<BusClock>);
-        let devices = names.into_iter().map(str::to_owned).collect();
-        let own_counters = bus_plan.own_counters();
+        let BusFacts { devices, own_counters, is_one_frame, .. } = facts;
         let info = BusInfo { name: bus_plan.name().to_owned(), devices, own_counters, notes };
         gauges.buses.push(BusGauge { info: info.clone(), unmatched, clock });
         buses.push(OpenBus {
-            is_one_frame: bus.is_one_frame(),
+            is_one_frame,
             bus,
             info,
             first,

@@ -238,13 +238,14 @@ impl Simulation {
     /// There is no such axis, or the machine has other drives than those of its plan.
     pub fn happen(&self, name: &str, event: DriveEvent) -> Result<(), MasterError> {
         let happened = self.plan.find(name).and_then(|(bus, index)| {
-            let way = bus.load(self.plan.cycle.period_ns).map(|load| load.way);
-            let (world, place) = (&self.world, bus.place_on_wire(index));
-            Some(match (event, bus.addresses().get(index), way?) {
-                (DriveEvent::Unplug, Some(at), _) => world.unplug(*at),
-                (DriveEvent::Plug, Some(at), _) => world.plug(*at),
-                (DriveEvent::Restart, Some(at), _) => world.restart(*at),
-                (DriveEvent::OpenSto(time), Some(at), _) => world.open_sto(*at, nanos(time)),
+            let facts = bus.facts(self.plan.cycle.grid());
+            let (world, drive) = (&self.world, facts.drives.get(index)?);
+            let place = drive.place_on_wire;
+            Some(match (event, drive.address, facts.load?.way) {
+                (DriveEvent::Unplug, Some(at), _) => world.unplug(at),
+                (DriveEvent::Plug, Some(at), _) => world.plug(at),
+                (DriveEvent::Restart, Some(at), _) => world.restart(at),
+                (DriveEvent::OpenSto(time), Some(at), _) => world.open_sto(at, nanos(time)),
                 (DriveEvent::Unplug, _, Way::Interface(line)) => world.cut(&line, Some(place)),
                 (DriveEvent::Plug, _, Way::Interface(line)) => world.cut(&line, None),
                 (DriveEvent::Restart, _, Way::Interface(line)) => world.restart_slave(&line, place),

@@ -1,6 +1,6 @@
 //! All drives of one Modbus TCP bus, one connection each: stations and their carrier, as a [`Bus`].
 
-use std::net::{Ipv4Addr, SocketAddrV4};
+use std::net::Ipv4Addr;
 use std::os::fd::RawFd;
 use std::sync::Arc;
 
@@ -14,16 +14,14 @@ use super::plan::{ModbusPlan, UnidriveDrive, Via};
 use super::profile;
 use super::station::{BROKE, SILENT, Station};
 use super::trips::Trip;
-use fieldbeat_core::axis::acyclic::Notation;
 use fieldbeat_core::axis::feedback::MONITOR_CHANNELS;
-use fieldbeat_core::axis::{AxisPlan, FaultNames, FoundRunning, MonitorChannel, PlanFault, SilenceFaults};
-use fieldbeat_core::bus::desired::Capabilities;
-use fieldbeat_core::bus::diagnosis::Row;
+use fieldbeat_core::axis::{AxisPlan, FoundRunning, PlanFault};
 use fieldbeat_core::bus::load::{Load, Medium, Way};
 use fieldbeat_core::bus::native::{NativeBytes, NativeLayout, WantedOutputs};
 use fieldbeat_core::bus::variant::Variant;
 use fieldbeat_core::bus::{
-    Bus, BusPlan, Cycle, Ends, Exchange, Notes, OpenError, OwnCounter, Slot, Unmatched, drives,
+    Bus, BusFacts, BusNumbers, BusPlan, Cycle, DriveFacts, Ends, Exchange, Grid, Notes, OpenError, Opened,
+    Reply, Slot, drives,
 };
 use fieldbeat_core::net::{Broken, Carriers, LinkNotes, Lock, StreamPeer, Streams};
 use fieldbeat_core::rt::Regions;
@@ -31,17 +29,15 @@ use fieldbeat_core::time::Time;
 
 /// Connections and their drives.
 pub struct ModbusBus {
-    name: String,
     net: Box<dyn Streams>,
     stations: Vec<Station>,
-    ends: Ends,
     /// The drives are this master's until their connections are given up.
     _locks: Vec<Lock>,
 }
 
 impl std::fmt::Debug for ModbusBus {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("ModbusBus").field("name", &self.name).field("drives", &self.stations.len()).finish()
+        f.debug_struct("ModbusBus").field("drives", &self.stations.len()).finish_non_exhaustive()
     }
 }
 
@@ -59,7 +55,7 @@ fn mappings(drive: &UnidriveDrive) -> Option<(Mapping, Option<Mapping>)> {
 
 impl ModbusBus {
     /// Begins to connect to the drives of `plan`, which is free of faults.
-    pub fn open(plan: &ModbusPlan, carriers: &dyn Carriers) -> Result<ModbusBus, OpenError> {
+    pub fn open(plan: &ModbusPlan, carriers: &dyn Carriers) -> Result<Opened, OpenError> {
         let addresses = plan.drives.iter().map(|drive| (&drive.axis, drive.address));
         let locks = drives::lock(&plan.name, addresses, carriers)?;
         let (mut peers, mut stations, mut ends) = (Vec::new(), Vec::new(), Ends::default());
@@ -82,7 +78,8 @@ impl ModbusBus {
         let net = carriers
             .streams(peers)
             .map_err(|source| OpenError::Streams { bus: plan.name.clone(), source })?;
-        Ok(ModbusBus { name: plan.name.clone(), net, stations, ends, _locks: locks })
+        let notes = ConnectionNotes(net.notes());
+        Ok(Opened::new(ModbusBus { net, stations, _locks: locks }, ends, notes))
     }
 
     /// Takes in what has arrived on the connections, one piece each.
@@ -170,10 +167,6 @@ impl Notes for ConnectionNotes {
 }
 
 impl Bus for ModbusBus {
-    fn name(&self) -> &str {
-        &self.name
-    }
-
     fn memory(&self, regions: &mut Regions) {
         regions.add(self);
         self.net.memory(regions);
@@ -252,30 +245,18 @@ impl Bus for ModbusBus {
         done
     }
 
-    fn unmatched(&self) -> Unmatched {
-        Unmatched::default()
+    fn numbers(&self) -> BusNumbers {
+        BusNumbers::default()
     }
 
     fn helper_ended(&self) -> bool {
         self.net.has_ended()
-    }
-
-    fn notes(&self) -> Option<Arc<dyn Notes>> {
-        Some(Arc::new(ConnectionNotes(self.net.notes())))
-    }
-
-    fn ends(&mut self) -> Option<&mut Ends> {
-        Some(&mut self.ends)
     }
 }
 
 impl BusPlan for ModbusPlan {
     fn name(&self) -> &str {
         &self.name
-    }
-
-    fn protocol(&self) -> &'static str {
-        super::PROTOCOL
     }
 
     fn axes(&self) -> Vec<&AxisPlan> {
@@ -288,30 +269,27 @@ impl BusPlan for ModbusPlan {
         drives::faults(&self.drives, period_ns, |drive| &drive.axis, UnidriveDrive::faults, same, taken)
     }
 
-    fn reply_within_ns(&self, index: usize) -> Option<u64> {
-        self.drives.get(index).map(|drive| drive.reply_within_ns)
-    }
-
-    fn drive_watchdog_ns(&self, index: usize) -> Option<u64> {
-        self.drives.get(index)?.watchdog.within_ns()
-    }
-
-    fn describe(&self, period_ns: u64) -> Vec<String> {
-        self.drives.iter().map(|drive| drive.describe(self.bind, period_ns)).collect()
-    }
-
-    fn open(&self, _period_ns: u64, carriers: &dyn Carriers) -> Result<Box<dyn Bus>, OpenError> {
-        Ok(Box::new(ModbusBus::open(self, carriers)?))
-    }
-
-    fn load(&self, _period_ns: u64) -> Option<Load> {
+    fn facts(&self, _grid: Grid) -> BusFacts {
+        let drive = |drive: &UnidriveDrive| DriveFacts {
+            reply: Reply::Connection(drive.reply_within_ns),
+            watchdog_ns: drive.watchdog.within_ns(),
+            monitored: drive.shown(),
+            ..DriveFacts::at(drive.address, profile::capabilities(drive))
+        };
         let way = Way::Address(self.bind.unwrap_or(Ipv4Addr::UNSPECIFIED));
-        // The shortest of FC23 (Modbus Application Protocol V1.1b3, 6.17): a register each way.
-        Some(Load { medium: Medium::Streams, way, bytes: [7 + 12, 7 + 4], frames: Vec::new() })
+        BusFacts {
+            // The shortest of FC23 (Modbus Application Protocol V1.1b3, 6.17): a register each way.
+            load: Some(Load { medium: Medium::Streams, way, bytes: [7 + 12, 7 + 4], frames: Vec::new() }),
+            own_counters: &OWN,
+            fault_names: |code| u16::try_from(code).ok().and_then(|code| Trip(code).name()),
+            silence_faults: |code| u16::try_from(code).is_ok_and(|code| Trip(code).is_of_silence()),
+            diagnosis: &DIAGNOSIS,
+            ..BusFacts::new(super::PROTOCOL, Parameters, self.drives.iter().map(drive).collect())
+        }
     }
 
-    fn monitored(&self, index: usize) -> [Option<MonitorChannel>; MONITOR_CHANNELS] {
-        self.drives.get(index).map_or([const { None }; MONITOR_CHANNELS], UnidriveDrive::shown)
+    fn describe(&self, grid: Grid) -> Vec<String> {
+        self.drives.iter().map(|drive| drive.describe(self.bind, grid.period_ns)).collect()
     }
 
     fn native_layout(&self, index: usize) -> NativeLayout {
@@ -319,28 +297,8 @@ impl BusPlan for ModbusPlan {
         drive.map_or_else(NativeLayout::default, |(drive, mappings)| layout(drive, mappings))
     }
 
-    fn own_counters(&self) -> &'static [OwnCounter] {
-        &OWN
-    }
-
-    fn capabilities(&self, index: usize, _period_ns: u64) -> Capabilities {
-        profile::capabilities(&self.drives[index])
-    }
-
-    fn fault_names(&self) -> FaultNames {
-        |code| u16::try_from(code).ok().and_then(|code| Trip(code).name())
-    }
-
-    fn silence_faults(&self) -> SilenceFaults {
-        |code| u16::try_from(code).is_ok_and(|code| Trip(code).is_of_silence())
-    }
-
-    fn diagnosis(&self) -> &'static [Row] {
-        &DIAGNOSIS
-    }
-
-    fn notation(&self) -> Arc<dyn Notation> {
-        Arc::new(Parameters)
+    fn open(&self, _period_ns: u64, carriers: &dyn Carriers) -> Result<Opened, OpenError> {
+        ModbusBus::open(self, carriers)
     }
 
     fn reaching(&self, index: usize) -> Option<Box<dyn BusPlan>> {
@@ -354,9 +312,5 @@ impl BusPlan for ModbusPlan {
 
     fn variant(&self, wanted: &Variant) -> Option<Box<dyn BusPlan>> {
         Some(Box::new(ModbusPlan::variant(self, wanted)?))
-    }
-
-    fn addresses(&self) -> Vec<SocketAddrV4> {
-        self.drives.iter().map(|drive| drive.address).collect()
     }
 }

@@ -11,7 +11,6 @@ mod turns;
 mod upkeep;
 
 use std::os::fd::RawFd;
-use std::sync::Arc;
 
 use self::end::End;
 use self::queue::Queue;
@@ -22,14 +21,13 @@ use super::other::Others;
 use super::plan::{LenzeDrive, ProfibusPlan};
 use super::station::Station;
 use fieldbeat_core::bus::native::{NativeBytes, WantedOutputs};
-use fieldbeat_core::bus::{Bus, Cycle, Ends, Exchange, Notes, OpenError, Slot, Unmatched};
+use fieldbeat_core::bus::{Bus, BusNumbers, Cycle, Ends, Exchange, OpenError, Opened, Slot, Unmatched};
 use fieldbeat_core::net::{Broken, Carriers, Lock, Place, Serial};
 use fieldbeat_core::rt::Regions;
 use fieldbeat_core::time::Time;
 
 /// A wire and its drives.
 pub(super) struct ProfibusBus {
-    name: String,
     /// The drives whose exchange is queued.
     queue: Queue,
     /// Those that start up, a bit each.
@@ -60,7 +58,6 @@ pub(super) struct ProfibusBus {
     /// Cycles that the end has waited for.
     waits: u32,
     notes: WireNotes,
-    ends: Ends,
     unmatched: Unmatched,
     /// The port is this master's until it is closed.
     _lock: Lock,
@@ -68,13 +65,13 @@ pub(super) struct ProfibusBus {
 
 impl std::fmt::Debug for ProfibusBus {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("ProfibusBus").field("name", &self.name).field("drives", &self.stations.len()).finish()
+        f.debug_struct("ProfibusBus").field("drives", &self.stations.len()).finish_non_exhaustive()
     }
 }
 
 impl ProfibusBus {
     /// Begins to open the port of `plan`, which is free of faults.
-    pub(super) fn open(plan: &ProfibusPlan, carriers: &dyn Carriers) -> Result<ProfibusBus, OpenError> {
+    pub(super) fn open(plan: &ProfibusPlan, carriers: &dyn Carriers) -> Result<Opened, OpenError> {
         let lock = carriers.lock(Place::Port(&plan.device)).map_err(|why| OpenError::InUse {
             bus: plan.name.clone(),
             what: plan.device.clone(),
@@ -104,8 +101,8 @@ impl ProfibusBus {
         let intervals: Box<[_]> = plan.drives.iter().map(interval).collect();
         let has_intervals = intervals.iter().any(|(ns, _)| *ns > 0);
         let own_slot = |drive: &LenzeDrive| (drive.axis.divisor.into(), drive.axis.phase.into());
-        Ok(ProfibusBus {
-            name: plan.name.clone(),
+        let notes = WireNotes::new(&plan.device, plan.address, known, net.notes());
+        let bus = ProfibusBus {
             queue: Queue::default(),
             starting: 0,
             last: 0,
@@ -124,12 +121,12 @@ impl ProfibusBus {
             opened_at: Time(0),
             end: End::default(),
             waits: 0,
-            notes: WireNotes::new(&plan.device, plan.address, known, net.notes()),
+            notes: notes.clone(),
             net,
-            ends,
             unmatched: Unmatched::default(),
             _lock: lock,
-        })
+        };
+        Ok(Opened::new(bus, ends, notes))
     }
 
     /// Takes over a port that was opened.
@@ -165,10 +162,6 @@ impl ProfibusBus {
 }
 
 impl Bus for ProfibusBus {
-    fn name(&self) -> &str {
-        &self.name
-    }
-
     fn memory(&self, regions: &mut Regions) {
         regions.add(self);
         self.net.memory(regions);
@@ -257,19 +250,11 @@ impl Bus for ProfibusBus {
         self.end(cycle, slots)
     }
 
-    fn unmatched(&self) -> Unmatched {
-        self.unmatched
+    fn numbers(&self) -> BusNumbers {
+        self.unmatched.into()
     }
 
     fn helper_ended(&self) -> bool {
         self.net.has_ended()
-    }
-
-    fn notes(&self) -> Option<Arc<dyn Notes>> {
-        Some(Arc::new(self.notes.clone()))
-    }
-
-    fn ends(&mut self) -> Option<&mut Ends> {
-        Some(&mut self.ends)
     }
 }

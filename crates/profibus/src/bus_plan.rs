@@ -1,8 +1,5 @@
 //! The plan of a bus as a [`BusPlan`].
 
-use std::net::SocketAddrV4;
-use std::sync::Arc;
-
 use super::bus::ProfibusBus;
 use super::counters::{OWN, Own};
 use super::diagnosis::DIAGNOSIS;
@@ -11,15 +8,12 @@ use super::notation::Codes;
 use super::plan::{LenzeDrive, ProfibusPlan};
 use super::profile;
 use super::wire::telegram;
-use fieldbeat_core::axis::acyclic::Notation;
 use fieldbeat_core::axis::feedback::MONITOR_CHANNELS;
-use fieldbeat_core::axis::{AxisPlan, FoundRunning, MonitorChannel, PlanFault};
-use fieldbeat_core::bus::desired::Capabilities;
-use fieldbeat_core::bus::diagnosis::Row;
+use fieldbeat_core::axis::{AxisPlan, FoundRunning, PlanFault};
 use fieldbeat_core::bus::load::{Load, Medium, Way};
 use fieldbeat_core::bus::native::NativeLayout;
 use fieldbeat_core::bus::variant::Variant;
-use fieldbeat_core::bus::{Bus, BusPlan, Grid, OpenError, OwnCounter, drives};
+use fieldbeat_core::bus::{BusFacts, BusPlan, DriveFacts, Grid, OpenError, Opened, Reply, drives};
 use fieldbeat_core::net::Carriers;
 
 impl BusPlan for ProfibusPlan {
@@ -31,10 +25,6 @@ impl BusPlan for ProfibusPlan {
 
     fn name(&self) -> &str {
         &self.name
-    }
-
-    fn protocol(&self) -> &'static str {
-        super::PROTOCOL
     }
 
     fn axes(&self) -> Vec<&AxisPlan> {
@@ -53,76 +43,46 @@ impl BusPlan for ProfibusPlan {
         own.chain(self.drives.iter().enumerate().flat_map(of_drive)).chain(drives).collect()
     }
 
-    fn turn_within_ns(&self, index: usize, grid: Grid) -> Option<u64> {
-        Some(self.turn_within(index, grid))
-    }
-
-    fn request_within_ns(&self, index: usize, grid: Grid) -> Option<u64> {
-        Some(self.request_within(index, grid))
-    }
-
     fn turn_faults(&self, grid: Grid) -> Vec<(usize, PlanFault)> {
         self.schedule_faults(grid)
     }
 
-    fn describe_turns(&self, grid: Grid) -> Option<String> {
-        Some(self.describe_round(grid))
+    fn facts(&self, grid: Grid) -> BusFacts {
+        let drive = |((index, drive), [request_ns, end_ns]): ((usize, &LenzeDrive), [u64; 2])| DriveFacts {
+            reply: Reply::Turn { request_ns, end_ns },
+            // A telegram that is repeated stays what it is, and what is new in it would be ignored.
+            before_stop: 1,
+            watchdog_ns: drive.watchdog_ns(),
+            monitored: drive.shown(),
+            ..DriveFacts::on_wire(drive.address, index, profile::capabilities(drive))
+        };
+        let drives = self.drives.iter().enumerate().zip(self.turns(grid)).map(drive);
+        BusFacts {
+            // What the wire takes is laid on the grid: `turn_faults`.
+            load: Some(Load {
+                medium: Medium::Serial,
+                way: Way::Port(self.device.clone()),
+                bytes: [0; 2],
+                frames: Vec::new(),
+            }),
+            own_counters: &OWN,
+            wire_us: Some(Own::WireUs as usize),
+            diagnosis: &DIAGNOSIS,
+            ..BusFacts::new(super::PROTOCOL, Codes, drives.collect())
+        }
     }
 
-    fn before_stop(&self, _index: usize) -> u32 {
-        // A telegram that is repeated stays what it is, and what is new in it would be ignored.
-        1
-    }
-
-    fn describe(&self, _period_ns: u64) -> Vec<String> {
+    fn describe(&self, grid: Grid) -> Vec<String> {
         let drives = (0..self.drives.len()).map(|index| self.describe_drive(index));
-        drives.chain([self.describe_wire()]).collect()
-    }
-
-    fn drive_watchdog_ns(&self, index: usize) -> Option<u64> {
-        self.drives.get(index)?.watchdog_ns()
-    }
-
-    fn open(&self, _period_ns: u64, carriers: &dyn Carriers) -> Result<Box<dyn Bus>, OpenError> {
-        Ok(Box::new(ProfibusBus::open(self, carriers)?))
-    }
-
-    fn load(&self, _period_ns: u64) -> Option<Load> {
-        // What the wire takes is laid on the grid: `turn_faults`.
-        Some(Load {
-            medium: Medium::Serial,
-            way: Way::Port(self.device.clone()),
-            bytes: [0; 2],
-            frames: Vec::new(),
-        })
-    }
-
-    fn monitored(&self, index: usize) -> [Option<MonitorChannel>; MONITOR_CHANNELS] {
-        self.drives.get(index).map_or([const { None }; MONITOR_CHANNELS], LenzeDrive::shown)
+        drives.chain([self.describe_wire(), self.describe_round(grid)]).collect()
     }
 
     fn native_layout(&self, index: usize) -> NativeLayout {
         self.drives.get(index).map_or_else(NativeLayout::default, layout)
     }
 
-    fn own_counters(&self) -> &'static [OwnCounter] {
-        &OWN
-    }
-
-    fn wire_us(&self) -> Option<usize> {
-        Some(Own::WireUs as usize)
-    }
-
-    fn capabilities(&self, index: usize, _period_ns: u64) -> Capabilities {
-        profile::capabilities(&self.drives[index])
-    }
-
-    fn diagnosis(&self) -> &'static [Row] {
-        &DIAGNOSIS
-    }
-
-    fn notation(&self) -> Arc<dyn Notation> {
-        Arc::new(Codes)
+    fn open(&self, _period_ns: u64, carriers: &dyn Carriers) -> Result<Opened, OpenError> {
+        ProfibusBus::open(self, carriers)
     }
 
     /// The other drives are not parametrised: each needs its master.
@@ -135,13 +95,5 @@ impl BusPlan for ProfibusPlan {
 
     fn variant(&self, wanted: &Variant) -> Option<Box<dyn BusPlan>> {
         Some(Box::new(ProfibusPlan::variant(self, wanted)?))
-    }
-
-    fn place(&self, index: usize) -> Option<String> {
-        self.drives.get(index).map(|drive| drive.address.to_string())
-    }
-
-    fn addresses(&self) -> Vec<SocketAddrV4> {
-        Vec::new()
     }
 }

@@ -32,6 +32,13 @@ const MOST_DIVISOR: u32 = 1_000;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Bytes(usize, usize);
 
+/// The tries of the turn of a drive, ns: the longest of them, and by how much it is longer with MSAC1.
+#[derive(Clone, Copy, Debug)]
+struct Tries {
+    once_ns: u64,
+    acyclic_more_ns: u64,
+}
+
 impl LenzeDrive {
     /// Data_Exchange. `None`: its configuration is none.
     fn exchange(&self) -> Option<Bytes> {
@@ -63,12 +70,12 @@ impl ProfibusPlan {
     fn answered_ns(&self, Bytes(request, answer): Bytes) -> u64 {
         let line = self.line();
         let bits = u64::from(self.bits.max_tsdr) + u64::from(self.bits.idle.max(self.bits.sync));
-        line.span_ns(request + answer) + line.bits_ns(bits) + self.bits.latency_ns
+        (line.span_ns(request + answer) + line.bits_ns(bits)).saturating_add(self.bits.latency_ns)
     }
 
     /// The same if nobody answers it.
     fn silent_ns(&self, Bytes(request, _): Bytes) -> u64 {
-        self.line().span_ns(request) + self.slot_ns()
+        self.line().span_ns(request).saturating_add(self.slot_ns())
     }
 
     fn try_ns(&self, bytes: Bytes) -> u64 {
@@ -130,70 +137,74 @@ impl ProfibusPlan {
         token.max(gap).max(self.control_ns()).saturating_sub(grid.period_ns.saturating_sub(grid.deadline_ns))
     }
 
-    /// From the slot in which an exchange of drive `index` is due to its end, at most: what the master sends itself,
-    /// the turns of all the others and its own, each with all its repetitions, one of them acyclic.
-    pub(super) fn turn_within(&self, index: usize, grid: Grid) -> u64 {
-        self.turns_within(index, true, grid)
-    }
-
-    /// The same to the begin of its request.
-    pub(super) fn request_within(&self, index: usize, grid: Grid) -> u64 {
-        self.turns_within(index, false, grid)
-    }
-
-    /// The turns before that of drive `index`, and its `own`. They begin when it may be addressed again: the turn
-    /// before had begun by the slot.
-    fn turns_within(&self, index: usize, own: bool, grid: Grid) -> u64 {
-        let least_ns = self.drives.get(index).map_or(0, |drive| drive.min_slave_interval_ns);
-        self.queued_within(index, own, grid).saturating_add(least_ns)
-    }
-
-    /// The same of a drive that may be addressed at any time.
-    fn queued_within(&self, index: usize, own: bool, grid: Grid) -> u64 {
-        let Some(order) = self.order(index + 1) else { return 0 };
-        let turns = &order[..order.len() - usize::from(!own)];
-        if self.catches_up(grid) {
-            return self.all_tries(turns, None, grid);
-        }
-        let once = (0..order.len()).map(|place| self.all_tries(turns, Some(place), grid)).max().unwrap_or(0);
-        // Where turns are long, it is due more than once.
-        once + once / self.global_control_ns.max(1) * grid.period_ns.max(self.control_ns())
-    }
-
-    /// The drives in turn, from this one on.
-    fn order(&self, first: usize) -> Option<Vec<&LenzeDrive>> {
-        let (behind, ahead) = self.drives.split_at_checked(first)?;
-        Some(ahead.iter().chain(behind).collect())
-    }
-
-    /// From a slot to the end of these turns with all repetitions, one of them acyclic, and with Global_Control before
-    /// that at `place`.
-    fn all_tries(&self, drives: &[&LenzeDrive], place: Option<usize>, grid: Grid) -> u64 {
-        let once = |drive: &&LenzeDrive| {
-            let once = self.longest_try_ns(drive);
-            (once, self.acyclic_more_ns(drive, once))
+    /// From the slot in which an exchange of each drive is due to the begin of its request, and to its end, at most:
+    /// what the master sends itself, the turns of all the others and its own, each with all its repetitions, one of
+    /// them acyclic. They begin when the drive may be addressed again: the turn before had begun by the slot.
+    pub(super) fn turns(&self, grid: Grid) -> Vec<[u64; 2]> {
+        let orders = self.orders();
+        let catches_up = self.catches_up(&orders, grid);
+        let within = |turns: &[Tries], is_all: bool| {
+            let (free, behind) = self.all_tries(turns, grid);
+            if catches_up {
+                return free;
+            }
+            let once = if is_all { behind } else { behind.max(self.controlled(free, grid)) };
+            // Where turns are long, it is due more than once.
+            let more = once / self.global_control_ns.max(1);
+            once.saturating_add(more.saturating_mul(grid.period_ns.max(self.control_ns())))
         };
-        let mut turns: Vec<(u64, u64)> = drives.iter().map(once).collect();
-        if let Some((once, more)) = turns.iter_mut().max_by_key(|(_, more)| *more) {
-            *once += *more;
+        let of = |(order, drive): (&Vec<Tries>, &LenzeDrive)| {
+            let (_, before) = order.split_last()?;
+            Some(
+                [within(before, false), within(order, true)]
+                    .map(|ns| ns.saturating_add(drive.min_slave_interval_ns)),
+            )
+        };
+        orders.iter().zip(&self.drives).filter_map(of).collect()
+    }
+
+    /// For each drive the tries of all drives in turn, its own at the end.
+    fn orders(&self) -> Vec<Vec<Tries>> {
+        let tries = |drive| {
+            let once_ns = self.longest_try_ns(drive);
+            Tries { once_ns, acyclic_more_ns: self.acyclic_more_ns(drive, once_ns) }
+        };
+        let mut order: Vec<Tries> = self.drives.iter().map(tries).collect();
+        let next = |_: &LenzeDrive| {
+            order.rotate_left(1);
+            order.clone()
+        };
+        self.drives.iter().map(next).collect()
+    }
+
+    /// The end of Global_Control, if the wire is free then.
+    fn controlled(&self, free: u64, grid: Grid) -> u64 {
+        grid.in_window(free).saturating_add(self.control_ns())
+    }
+
+    /// From a slot to the end of these turns with all repetitions, one of them acyclic; and the same with Global_Control
+    /// before one of them, wherever that takes longest.
+    fn all_tries(&self, turns: &[Tries], grid: Grid) -> (u64, u64) {
+        let mut turns = turns.to_vec();
+        if let Some(longest) = turns.iter_mut().max_by_key(|tries| tries.acyclic_more_ns) {
+            longest.once_ns = longest.once_ns.saturating_add(longest.acyclic_more_ns);
         }
-        let begins = |free: u64, took: u64| grid.in_window(free).saturating_add(took);
-        let control = |free, at| if place == Some(at) { begins(free, self.control_ns()) } else { free };
-        let free = turns.iter().enumerate().fold(self.left_over_ns(grid), |free, (at, (once, _))| {
-            (0..=self.retries).fold(control(free, at), |free, _| begins(free, *once))
-        });
-        control(free, turns.len())
+        let begun = self.left_over_ns(grid);
+        turns.iter().fold((begun, begun), |(free, behind), Tries { once_ns, .. }| {
+            let end =
+                |free| (0..=self.retries).fold(free, |free, _| grid.in_window(free).saturating_add(*once_ns));
+            (end(free), end(behind.max(self.controlled(free, grid))))
+        })
     }
 
     /// Global_Control leaves when no drive waits any more, or when it is late by its own period. It is ahead of no
     /// drive if all turns with all repetitions end before any drive is due again.
-    fn catches_up(&self, grid: Grid) -> bool {
+    fn catches_up(&self, orders: &[Vec<Tries>], grid: Grid) -> bool {
         let divisor = self.drives.iter().map(|drive| drive.axis.divisor).min().unwrap_or(1);
-        let orders = (0..self.drives.len()).filter_map(|first| self.order(first));
-        let all = orders.map(|order| self.all_tries(&order, None, grid)).max().unwrap_or(0);
+        let all = orders.iter().map(|order| self.all_tries(order, grid).0).max().unwrap_or(0);
         // The stops of those that are lost are turns besides.
         grid.in_window(all) < grid.period_ns.saturating_mul(divisor.into())
-            && 2 * all < self.global_control_ns
+            && all.saturating_mul(2) < self.global_control_ns
     }
 
     /// The exchanges that begin within `within_ns`, if all drives wait for their turn all the time and are answered.
@@ -272,9 +283,9 @@ impl ProfibusPlan {
 
     /// A drive is addressed once in its divisor, and when it has waited for its turn: its watchdog has to outlast both.
     fn watchdog_faults(&self, grid: Grid) -> Vec<(usize, PlanFault)> {
-        let short = |(index, drive): (usize, &LenzeDrive)| {
+        let short = |(index, (drive, [_, turn_ns])): (usize, (&LenzeDrive, [u64; 2]))| {
             let every_ns = grid.period_ns.saturating_mul(drive.axis.divisor.into());
-            let silent_ns = every_ns.saturating_add(self.turn_within(index, grid));
+            let silent_ns = every_ns.saturating_add(turn_ns);
             let why = format!(
                 "must be above {}: so long may pass until the drive is addressed again, while others do not \
                  answer",
@@ -283,7 +294,7 @@ impl ProfibusPlan {
             let is_short = drive.watchdog_ns().is_some_and(|watchdog| watchdog <= silent_ns);
             is_short.then(|| (index, PlanFault::new("watchdog", why)))
         };
-        self.drives.iter().enumerate().filter_map(short).collect()
+        self.drives.iter().zip(self.turns(grid)).enumerate().filter_map(short).collect()
     }
 
     /// The least divisor that suits all drives, with their phases in turn.

@@ -62,7 +62,8 @@ impl Difference {
         let bus = |place: usize| plan.buses.get(place).map(|bus| &**bus);
         let drive_of = |place, index, bytes: &[u8], at| {
             let bus = bus(place)?;
-            let drive = if bus.addresses().is_empty() { bus.drive_in(bytes, at) } else { Some(index) };
+            let is_addressed = !bus.facts(plan.cycle.grid()).addresses().is_empty();
+            let drive = if is_addressed { Some(index) } else { bus.drive_in(bytes, at) };
             bus.axes().get(drive?).map(|axis| axis.name.clone())
         };
         let of = |place, drive: &Option<String>| match drive {

@@ -10,8 +10,8 @@ use std::mem::{discriminant, replace};
 use fieldbeat::axis::{Command, Failure};
 use fieldbeat::bus::BusPlan;
 use fieldbeat::time::Time;
-use fieldbeat_core::bus::Slot;
 use fieldbeat_core::bus::desired::{Desired, Intent, Motion, Power, Setpoint};
+use fieldbeat_core::bus::{Grid, Slot};
 use fieldbeat_core::drive::machine::Machine;
 
 pub struct Commanded {
@@ -29,8 +29,9 @@ pub struct Commanded {
 impl Commanded {
     /// The machine of drive `index`.
     pub fn new(plan: &dyn BusPlan, index: usize, period_ns: u64) -> Commanded {
+        let facts = plan.facts(Grid { period_ns, deadline_ns: period_ns / 2 });
         Commanded {
-            machine: Machine::new(plan.axes()[index], plan.capabilities(index, period_ns), period_ns),
+            machine: Machine::new(plan.axes()[index], facts.drives[index].capabilities, period_ns),
             proposed: Desired::default(),
             grid: Time(0),
             gone: Desired::default(),

@@ -25,7 +25,7 @@ use fieldbeat::sim::ethercat::{EthercatSegment, EthercatSim, SiiSettings, SlaveS
 use fieldbeat::time::{MS, Time, US};
 use fieldbeat_core::bus::cia402::ControlWord;
 use fieldbeat_core::bus::desired::{Desired, Motion, Power};
-use fieldbeat_core::bus::{Bus, Exchange, Slot};
+use fieldbeat_core::bus::{Bus, DriveEnds, Exchange, Opened, Slot};
 use fieldbeat_core::net::frames::{MAC, Unsent};
 use fieldbeat_core::net::{Carriers, Datagrams, Frames, UdpOptions};
 use fieldbeat_core::rt::Regions;
@@ -135,6 +135,7 @@ impl Frames for Shared {
 
 struct Rig {
     bus: Box<dyn Bus>,
+    _drives: Vec<DriveEnds>,
     cable: Shared,
     machines: [Commanded; DRIVES],
     slots: [Slot; DRIVES],
@@ -171,10 +172,11 @@ impl Rig {
         })));
         let slot = || Slot { due: true, link: Link::Online, ..Slot::default() };
         let grid = Time(1_000 * PERIOD_NS);
-        let mut bus = BusPlan::open(&plan, PERIOD_NS, &cable).expect("there is a cable");
-        let terminal = bus.device(0).and_then(|device| device.downcast().ok()).expect("it is a terminal");
+        let Opened { bus, mut ends, .. } = BusPlan::open(&plan, PERIOD_NS, &cable).expect("there is a cable");
+        let terminal = ends.devices.remove(0).native.downcast().expect("it is a terminal");
         Rig {
             bus,
+            _drives: ends.drives,
             terminal: *terminal,
             output: 0,
             cable,

@@ -19,7 +19,7 @@ use fieldbeat::sim::SimDrive;
 use fieldbeat::sim::modbus::{ReadWrite, UnidriveSettings, UnidriveSim};
 use fieldbeat::time::{MS, Time, US};
 use fieldbeat_core::bus::desired::{Desired, Motion, Power};
-use fieldbeat_core::bus::{Bus, Exchange, Slot};
+use fieldbeat_core::bus::{Bus, Ends, Exchange, Opened, Slot};
 use fieldbeat_core::net::{
     Broken, Carriers, Datagrams, HandshakeState, LinkNotes, StreamPeer, Streams, UdpOptions,
 };
@@ -205,6 +205,7 @@ impl Streams for Wire {
 struct Rig {
     pipe: Shared,
     bus: Box<dyn Bus>,
+    _ends: Ends,
     machine: Commanded,
     slots: [Slot; 1],
     before: Slot,
@@ -253,7 +254,7 @@ impl Rig {
             delivered: 0,
             clean: true,
         })));
-        let bus = plan.open(PERIOD_NS, &pipe).unwrap();
+        let Opened { bus, ends: _ends, .. } = plan.open(PERIOD_NS, &pipe).unwrap();
         pipe.get().open();
         let slot = Slot { due: true, link: Link::Online, ..Slot::default() };
         // Reference, control word, both in menu 0; what makes the drive follow them, and its time-out.
@@ -261,6 +262,7 @@ impl Rig {
         Rig {
             pipe,
             bus,
+            _ends,
             machine: Commanded::new(&plan, 0, PERIOD_NS),
             before: slot.clone(),
             slots: [slot],

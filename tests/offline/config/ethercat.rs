@@ -67,7 +67,7 @@ fn a_line_built_in_code_is_checked_by_the_same_rules() {
         slave: SlavePlan { watchdog: Watchdog::After(100 * US), ..SlavePlan::new(1) },
     };
     plan.devices = vec![device("k0"), device("a b")];
-    assert_eq!(BusPlan::devices(&plan), ["k0", "a b"]);
+    assert_eq!(plan.facts(fieldbeat::CyclePlan::default().grid()).devices, ["k0", "a b"]);
     plan.drives[0].axis.phase = 1;
     let reported: Vec<String> = BusPlan::faults(&plan, 300 * US)
         .into_iter()

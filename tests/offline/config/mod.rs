@@ -16,6 +16,8 @@ use fieldbeat::time::{MS, S, US};
 use fieldbeat::{CyclePlan, Guard, Overrun, Plan, Realtime, Wait};
 use fieldbeat_config::demo::{DEMO_PLACES, DEMO_STREAMS_UP_TO_NS, demo_plan, is_demo};
 use fieldbeat_config::{describe, json};
+use fieldbeat_core::bus::Reply;
+use fieldbeat_core::bus::facts::of_drives;
 use fieldbeat_core::cycle::bound::stop_bound;
 use fieldbeat_core::cycle::starvation;
 use fieldbeat_core::rt::host::Throttling;
@@ -407,12 +409,9 @@ fn the_demo_has_as_many_drives_as_wanted() {
     // Up to the longest cycle that there is, no drive's watchdog expires between two exchanges.
     for period_ns in [50 * MS, 333 * MS, 500 * MS, 751 * MS, S] {
         let plan = demo_plan(1, period_ns, 0).unwrap().plan;
-        for bus in &plan.buses {
-            for (index, axis) in bus.axes().into_iter().enumerate() {
-                let every_ns = period_ns * u64::from(axis.divisor);
-                let watchdog_ns = bus.drive_watchdog_ns(index);
-                assert!(watchdog_ns.is_none_or(|ns| ns > every_ns), "{period_ns}: {}", axis.name);
-            }
+        for (axis, (_, drive)) in plan.axes().into_iter().zip(of_drives(&plan.facts())) {
+            let every_ns = period_ns * u64::from(axis.divisor);
+            assert!(drive.watchdog_ns.is_none_or(|ns| ns > every_ns), "{period_ns}: {}", axis.name);
         }
         // A segment that does not take the period is left out, and no other bus.
         let left_out = usize::from(plan.buses.iter().all(|bus| bus.name() != "ethercat"));
@@ -491,8 +490,8 @@ fn a_sample_with_the_keys_of_the_rules_before_has_the_links_of_before() {
         .replace("# reply_within = 2\n", "reply_within = 1\n");
     for (text, leak, within, bound) in [(sample, 1, 2, 7), (&before, 20, 1, 6)] {
         let plan = read(text);
-        let (bus, axes) = (&plan.buses[0], plan.axes());
-        assert_eq!((axes[0].health, bus.reply_within(0)), (Health { leak, ..Health::default() }, within));
+        let (health, reply) = (plan.axes()[0].health, plan.facts()[0].drives[0].reply);
+        assert_eq!((health, reply), (Health { leak, ..Health::default() }, Reply::Cycles(within)));
         assert_eq!(stop_bound(&plan, 0), bound);
     }
 }

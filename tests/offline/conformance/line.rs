@@ -10,7 +10,7 @@ use fieldbeat::bus::BusPlan;
 use fieldbeat::sim::{FaultPlan, World, WorldOptions};
 use fieldbeat::telemetry::Unmatched;
 use fieldbeat::time::{MS, Time, US};
-use fieldbeat_core::bus::{Bus, Exchange, Slot};
+use fieldbeat_core::bus::{Bus, DriveFacts, Ends, Exchange, Grid, Opened, Reply, Slot};
 use fieldbeat_core::drive::machine::{Machine, NumberedRow};
 use fieldbeat_core::rt::{Clock, PollSet};
 use fieldbeat_sim::world::WorldClock;
@@ -20,6 +20,8 @@ use crate::conformance::subject::{Can, Drive, Said, Subject};
 use crate::conformance::wire::Wire;
 
 pub const PERIOD: u64 = MS;
+/// The same, with the usual window.
+pub const GRID: Grid = Grid { period_ns: PERIOD, deadline_ns: PERIOD / 2 };
 /// Replies are taken in until here.
 pub const WINDOW: u64 = 500 * US;
 /// From one end of the wire to the other.
@@ -68,6 +70,7 @@ pub struct Line {
     pub wire: Wire,
     pub world: World,
     pub bus: Box<dyn Bus>,
+    pub ends: Ends,
     pub slots: Vec<Slot>,
     /// What commands each drive.
     pub machines: Vec<Machine>,
@@ -106,10 +109,11 @@ impl Line {
         let (wire, simulated) = Wire::new(subject, &drives);
         let options = WorldOptions { latency_ns: LATENCY, ..WorldOptions::default() };
         let world = World::new(simulated, options).expect("each drive has its own address");
-        let bus = wire.open(PERIOD, &world).expect("the bus can be opened");
+        let Opened { bus, ends, .. } = wire.open(PERIOD, &world).expect("the bus can be opened");
+        let facts = wire.facts(GRID).drives;
         let machine =
-            |index: usize| Machine::new(&drives[index].axis, wire.capabilities(index, PERIOD), PERIOD);
-        let machines = (0..count).map(machine).collect();
+            |(drive, facts): (&Drive, DriveFacts)| Machine::new(&drive.axis, facts.capabilities, PERIOD);
+        let machines = drives.iter().zip(facts).map(machine).collect();
         let idle = Seen { exchange: Exchange::Idle, fresh: false, suspect: false, restarted: false };
         Line {
             can: subject.can(),
@@ -119,6 +123,7 @@ impl Line {
             wire,
             machines,
             bus,
+            ends,
             slots: vec![Slot::default(); count],
             seen: vec![idle; count],
             asleep: vec![false; count],
@@ -268,12 +273,18 @@ impl Line {
         self.poll_at().is_some() || self.slots.iter().any(|slot| slot.exchange.is_waited_for(&cycle))
     }
 
+    /// How long a packet of its first drive counts, ns; `None`: it has no clock of its own.
+    pub fn fresh_within_ns(&self) -> Option<u64> {
+        let reply = self.wire.facts(GRID).drives.first().map(|drive| drive.reply);
+        if let Some(Reply::OwnClock(ns)) = reply { Some(ns) } else { None }
+    }
+
     fn accounts(&self) {
         let log = self.wire.log();
         for (slot, tape) in self.slots.iter().zip(&log.drives) {
             rules::accounts(slot, tape, &self.can);
         }
-        let Unmatched { datagrams, dropped, errors } = self.bus.unmatched();
+        let Unmatched { datagrams, dropped, errors } = self.bus.numbers().unmatched;
         // Whose bytes are noise nobody can tell.
         let datagrams = if self.can.bytes { log.unmatched } else { datagrams };
         assert_eq!((datagrams, dropped, errors), (log.unmatched, 0, 0), "unmatched");

@@ -1,7 +1,6 @@
 //! Drives that send by their own clocks: no packet answers a request, and requests go whatever comes.
 
 use fieldbeat::axis::Link;
-use fieldbeat::bus::BusPlan;
 use fieldbeat::telemetry::Counters;
 use fieldbeat_core::bus::Exchange;
 
@@ -23,7 +22,7 @@ pub fn exchanges_are_missed_once_the_newest_packet_is_too_old(subject: &'static 
         return;
     }
     let mut line = Line::made_ready(subject, 2);
-    let fresh_within = line.wire.fresh_within_ns(0, PERIOD).expect("the plan says how long a packet counts");
+    let fresh_within = line.fresh_within_ns().expect("the plan says how long a packet counts");
     for _ in 0..5 {
         line.mute(0, true);
         line.turn();
@@ -90,7 +89,7 @@ pub fn a_packet_between_two_exchanges_is_reported_at_once(subject: &'static dyn 
         return;
     }
     let mut line = Line::with(subject, 1, |_, drive| drive.axis.divisor = 3);
-    if line.wire.fresh_within_ns(0, PERIOD).is_some_and(|ns| ns >= 6 * PERIOD) {
+    if line.fresh_within_ns().is_some_and(|ns| ns >= 6 * PERIOD) {
         return not_applicable(
             subject,
             "a packet between two exchanges",

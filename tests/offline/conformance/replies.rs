@@ -347,7 +347,7 @@ fn only_counted(
     for telegram in &telegrams {
         for ns in [LATENCY / 2, BETWEEN] {
             let before = [0, 1].map(|index| line.slots[index].counters);
-            let of_nobody = line.bus.unmatched().datagrams;
+            let of_nobody = line.bus.numbers().unmatched.datagrams;
             line.inject(0, from(line.wire.address(0)), telegram, ns);
             for _ in 0..2 {
                 for index in 0..2 {
@@ -369,7 +369,7 @@ fn only_counted(
             // A frame is everybody's.
             let other = if line.can.shared { as_what } else { Counters::default() };
             assert_eq!(got, [as_what, other], "{what}");
-            assert_eq!(line.bus.unmatched().datagrams - of_nobody, unmatched, "{what}");
+            assert_eq!(line.bus.numbers().unmatched.datagrams - of_nobody, unmatched, "{what}");
         }
     }
     !telegrams.is_empty()

@@ -12,7 +12,7 @@ use std::sync::{Arc, Mutex, MutexGuard};
 use fieldbeat::bus::BusPlan;
 use fieldbeat::sim::{Carrier, FaultPlan, SimDrive, SimSegment, Simulated, World};
 use fieldbeat::{OpenError, Time};
-use fieldbeat_core::bus::Bus;
+use fieldbeat_core::bus::Opened;
 use fieldbeat_core::net::frames::Unsent;
 use fieldbeat_core::net::{
     Broken, Carriers, Datagrams, Frames, Groups, LinkNotes, Outbox, Received, Sent, Serial, SerialLine,
@@ -283,12 +283,12 @@ impl std::fmt::Debug for Wire {
 impl BusPlan for Wire {
     crate::forward_bus_plan!(plan);
 
-    fn open(&self, period_ns: u64, carriers: &dyn Carriers) -> Result<Box<dyn Bus>, OpenError> {
-        let bus = self.plan.open(period_ns, &Tapped { carriers, wire: self })?;
+    fn open(&self, period_ns: u64, carriers: &dyn Carriers) -> Result<Opened, OpenError> {
+        let opened = self.plan.open(period_ns, &Tapped { carriers, wire: self })?;
         let proposals = self.log().proposals;
         Ok(match proposals {
-            Some(seed) => Box::new(Proposing::new(bus, seed)),
-            None => bus,
+            Some(seed) => Opened { bus: Box::new(Proposing::new(opened.bus, seed)), ..opened },
+            None => opened,
         })
     }
 }

@@ -22,6 +22,7 @@ use fieldbeat::sim::ethernet_ip::{MoonsSettings, MoonsSim};
 use fieldbeat::sim::linudp::LinMotSim;
 use fieldbeat::sim::{FaultPlan, SimDrive, SimPlan, Simulated, WorldOptions};
 use fieldbeat::{CyclePlan, Master, Plan, Simulation};
+use fieldbeat_core::bus::facts::of_drives;
 use fieldbeat_core::net::SendMode;
 use fieldbeat_linudp::wire::Response;
 
@@ -474,14 +475,10 @@ fn the_samples_of_old_run_as_they_did() {
         let drives = setup.simulation().build();
         let mut sim = setup.simulate_with(drives, WorldOptions::default()).unwrap();
         let plan = sim.plan();
-        let period_ns = plan.cycle.period_ns;
-        let axes: Vec<(AxisPlan, bool, bool)> = (plan.buses.iter())
-            .flat_map(|bus| {
-                let lacks = move |index| bus.capabilities(index, period_ns).lacks;
-                let axes = bus.axes().into_iter().cloned().enumerate();
-                axes.map(move |(index, axis)| {
-                    (axis, lacks(index).moves.is_none(), lacks(index).homing.is_none())
-                })
+        let axes: Vec<(AxisPlan, bool, bool)> = (plan.axes().into_iter().zip(of_drives(&plan.facts())))
+            .map(|(axis, (_, drive))| {
+                let lacks = drive.capabilities.lacks;
+                (axis.clone(), lacks.moves.is_none(), lacks.homing.is_none())
             })
             .collect();
         let all = axes.len();

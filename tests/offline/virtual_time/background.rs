@@ -50,7 +50,7 @@ fn a_drive_that_is_lost_ends_the_call_that_waits_for_it() {
     // For 38 s of virtual time.
     let slowly = Profile { velocity: 5.0, ..axis.profile() };
     let id = axis.post(Command::Move(Move { target: Target::Absolute(190.0), profile: slowly })).unwrap();
-    assert!(world.unplug(master.plan().buses[0].addresses()[1]));
+    assert!(world.unplug(master.plan().facts()[0].addresses()[1]));
     let Err(AxisError::Ended { outcome, .. }) = axis.wait(id, "move", Duration::from_secs(60)) else {
         panic!()
     };
@@ -80,7 +80,7 @@ fn a_call_that_ends_with_the_stop_group_names_the_axis_that_began_it() {
     axis.home().unwrap();
     let slowly = Profile { velocity: 5.0, ..axis.profile() };
     let id = axis.post(Command::Move(Move { target: Target::Absolute(190.0), profile: slowly })).unwrap();
-    assert!(world.unplug(master.plan().buses[0].addresses()[1]));
+    assert!(world.unplug(master.plan().facts()[0].addresses()[1]));
     let error = axis.wait(id, "move", Duration::from_secs(60)).unwrap_err();
     assert_eq!(error.to_string(), "axis a1: move aborted: stop group, begun by a2: link lost");
     let by = axis.feedback().begun_by.unwrap();
@@ -109,7 +109,7 @@ fn what_ended_a_call_is_in_the_feedback_when_it_returns() {
         let mut axis = master.axis(name).unwrap();
         axis.enable().unwrap();
         let id = axis.post(Command::Home).unwrap();
-        assert!(world.unplug(master.plan().buses[0].addresses()[index]));
+        assert!(world.unplug(master.plan().facts()[0].addresses()[index]));
         axis.wait(id, "home", Duration::from_secs(60)).unwrap_err();
         let feedback = axis.feedback();
         assert_eq!((feedback.link, feedback.stopped), (Link::Lost, Some(StopCause::LinkLost)), "{name}");

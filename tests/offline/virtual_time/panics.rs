@@ -199,7 +199,7 @@ fn a_panic_in_any_call_of_a_bus_stops_the_axes_of_all_buses_in_order() {
         (Call::Receive, "in stage receive, bus bus0"),
         (Call::HelperEnded, "in stage evaluate"),
         (Call::Prepare, "in stage prepare, bus bus0"),
-        (Call::Unmatched, "in stage publish"),
+        (Call::Numbers, "in stage publish"),
     ] {
         let machine = Machine::moving();
         machine.buses[0].light(call, 1);

@@ -22,7 +22,7 @@ use fieldbeat::sim::{FaultPlan, SimDrive, World, WorldOptions};
 use fieldbeat::telemetry::{Numbers, Status};
 use fieldbeat::time::Time;
 use fieldbeat::{Axes, Cycle, CyclePlan, Flow, Master, OpenError, Plan, Simulation};
-use fieldbeat_core::bus::Bus;
+use fieldbeat_core::bus::Opened;
 use fieldbeat_core::net::{
     Carriers, Datagrams, Outbox, Received, SendMode, Sent, StreamPeer, Streams, UdpOptions,
 };
@@ -157,7 +157,7 @@ impl std::fmt::Debug for SharedTape {
 impl BusPlan for TapedBus {
     crate::forward_bus_plan!(plan);
 
-    fn open(&self, period_ns: u64, carriers: &dyn Carriers) -> Result<Box<dyn Bus>, OpenError> {
+    fn open(&self, period_ns: u64, carriers: &dyn Carriers) -> Result<Opened, OpenError> {
         let tapes = self.tapes.clone();
         self.plan.open(period_ns, &Jammable { carriers, tapes })
     }

@@ -11,6 +11,7 @@ use std::time::{Duration, Instant};
 use clap::Args;
 use fieldbeat_config::Configuration;
 use fieldbeat_config::demo::{DEMO_PLACES, DEMO_STREAMS_UP_TO_NS, demo_plan};
+use fieldbeat_core::bus::facts::of_drives;
 use fieldbeat_core::cycle::{CyclePlan, Plan};
 use fieldbeat_core::time::{MS, Ns, nanos};
 use fieldbeat_doctor::{Glance, glance};
@@ -220,17 +221,15 @@ fn holds_up(seen: &Glance) -> String {
 /// The names of the axes that follow streams, of those that only make moves, and of those that take velocities only.
 fn names(plan: &Plan) -> [Vec<String>; 3] {
     let mut names = [const { Vec::new() }; 3];
-    for bus in &plan.buses {
-        for (index, axis) in bus.axes().into_iter().enumerate() {
-            let lacks = bus.capabilities(index, plan.cycle.period_ns).lacks;
-            let group = match (lacks.moves, lacks.rows) {
-                (Some(_), _) => 2,
-                // In a long period LinMots take none either.
-                (None, Some(_)) if plan.cycle.period_ns <= DEMO_STREAMS_UP_TO_NS => 1,
-                (None, _) => 0,
-            };
-            names[group].push(axis.name.clone());
-        }
+    for (axis, (_, drive)) in plan.axes().into_iter().zip(of_drives(&plan.facts())) {
+        let lacks = drive.capabilities.lacks;
+        let group = match (lacks.moves, lacks.rows) {
+            (Some(_), _) => 2,
+            // In a long period LinMots take none either.
+            (None, Some(_)) if plan.cycle.period_ns <= DEMO_STREAMS_UP_TO_NS => 1,
+            (None, _) => 0,
+        };
+        names[group].push(axis.name.clone());
     }
     names
 }

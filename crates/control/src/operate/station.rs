@@ -14,7 +14,7 @@ use super::operated::Operated;
 use super::operation::Operation;
 use super::request::{Reply, Request};
 use crate::server::Urgency;
-use fieldbeat_core::axis::{Axis, MonitorChannel};
+use fieldbeat_core::axis::Axis;
 use fieldbeat_core::rt::MonotonicClock;
 use fieldbeat_core::rt::thread::helper_thread;
 use fieldbeat_telemetry::Monitor;
@@ -52,14 +52,11 @@ impl Station {
     ///
     /// The thread could not be started.
     pub fn start(axes: Vec<Axis>, monitor: Monitor) -> std::io::Result<Station> {
-        let buses = monitor.plan().buses.iter();
-        let monitors: Vec<Vec<MonitorChannel>> = buses
-            .flat_map(|bus| {
-                (0..bus.axes().len()).map(|index| bus.monitored(index).into_iter().flatten().collect())
-            })
-            .collect();
-        let axes =
-            axes.into_iter().zip(monitors).map(|(axis, monitors)| Operated::new(axis, monitors)).collect();
+        let axes = axes.into_iter().zip(monitor.plan().monitored());
+        let operated = |(axis, channels): (Axis, [Option<_>; _])| {
+            Operated::new(axis, channels.into_iter().flatten().collect())
+        };
+        let axes = axes.map(operated).collect();
         let core = monitor.granted().core;
         let (sessions, failed) = (AtomicU64::new(0), AtomicBool::new(false));
         let shared =

@@ -3,17 +3,15 @@
 //! All of [`Bus`] runs on the real-time thread: bounded work, no allocation, no lock, no wait, and no panic on any
 //! bytes.
 
-use std::any::Any;
 use std::fmt::Debug;
 use std::os::fd::RawFd;
 use std::sync::Arc;
 
-use super::counters::{BusClock, Counters, OWN_COUNTERS, Unmatched};
+use super::counters::{BusNumbers, Counters, OWN_COUNTERS};
 use super::desired::{Desired, Evidence, Gone};
 use super::drives::Ends;
 use super::native::{NativeBytes, WantedOutputs};
-use crate::axis::acyclic::AcyclicEnds;
-use crate::axis::{DriveStatus, Emergency, Link, Observer};
+use crate::axis::{DriveStatus, Emergency, Link};
 use crate::net::LinkNotes;
 use crate::rt::Regions;
 use crate::time::Time;
@@ -37,20 +35,17 @@ pub trait LastResort: std::fmt::Debug + Send {
 ///
 /// - **A reply to each request** (LinUDP): [`Owed`](Exchange::Owed) by the deadline of its cycle, or of a later one,
 ///   then [`Answered`](Exchange::Answered) with a round trip. The next request leaves in its turn, whatever is owed:
-///   before that the bus puts an open exchange into [`Slot::earlier`]. `BusPlan::reply_within`.
+///   before that the bus puts an open exchange into [`Slot::earlier`]. `Reply::Cycles`.
 /// - **One request outstanding on a connection** (Modbus TCP): owed by a later deadline, and `awaited` in its own
 ///   window if the drive usually answers there. [`Slot::reachable`], [`helper_ended`](Bus::helper_ended),
-///   `BusPlan::reply_within_ns`.
+///   `Reply::Connection`.
 /// - **One frame for all drives** (EtherCAT): owed, and [`Absent`](Exchange::Absent) if the frame came back without
-///   this one. [`lead`](Bus::lead), [`phase_error`](Bus::phase_error), [`clock`](Bus::clock), devices.
+///   this one. [`lead`](Bus::lead), [`phase_error`](Bus::phase_error), the clock of [`numbers`](Bus::numbers), devices.
 /// - **The drive's own clock** (EtherNet/IP class 1): [`OwnClock`](Exchange::OwnClock), which no packet answers; no
-///   round trip, and not suspect. `BusPlan::fresh_within_ns`.
+///   round trip, and not suspect. `Reply::OwnClock`.
 /// - **Half duplex** (PROFIBUS DP): [`Queued`](Exchange::Queued) until its turn, then owed, and absent if its reply is
-///   overdue. [`poll_at`](Bus::poll_at), [`poll`](Bus::poll), `BusPlan::turn_within_ns`.
+///   overdue. [`poll_at`](Bus::poll_at), [`poll`](Bus::poll), `Reply::Turn`.
 pub trait Bus: Send {
-    /// Its name in messages.
-    fn name(&self) -> &str;
-
     /// Adds the memory that the bus touches on the real-time thread, to be locked with `memory = "own"`.
     fn memory(&self, regions: &mut Regions);
 
@@ -79,8 +74,7 @@ pub trait Bus: Send {
 
     /// When [`poll`](Bus::poll) is to be called, whatever the descriptor shows: when the reply on a half-duplex wire is
     /// overdue, or its idle time is over. The window stays open for it, up to its deadline. `None`: the descriptor
-    /// shows all that has to be waited for. Queried after other calls only, of a bus that has
-    /// `BusPlan::turn_within_ns`.
+    /// shows all that has to be waited for. Queried after other calls only, of a bus whose drives have `Reply::Turn`.
     fn poll_at(&self) -> Option<Time> {
         None
     }
@@ -102,28 +96,12 @@ pub trait Bus: Send {
     /// carried out.
     fn prepare(&mut self, cycle: &Cycle, slots: &mut [Slot]);
 
-    /// What stops its drives without the loop, where they have no watchdog of their own for a silent master.
-    /// By default a bus has none: its drives stop by themselves once nothing is sent any more.
-    fn last_resort(&mut self) -> Option<Box<dyn LastResort>> {
-        None
-    }
-
     /// Starts or continues the orderly end; true once nothing more has to be sent. Called after the window of a
     /// cycle, until it is true.
     fn shut_down(&mut self, cycle: &Cycle, slots: &mut [Slot]) -> bool;
 
-    /// Counters of what was received and belongs to no drive.
-    fn unmatched(&self) -> Unmatched;
-
-    /// The application's ends of its drives, taken once before the start; `None`: there are none.
-    fn ends(&mut self) -> Option<&mut Ends> {
-        None
-    }
-
-    /// The application's end of the native process data of drive `index`.
-    fn native(&mut self, index: usize) -> Option<Box<dyn Any + Send>> {
-        self.ends()?.native(index)
-    }
+    /// What it counts of itself, and the state of its clock. Queried now and then.
+    fn numbers(&self) -> BusNumbers;
 
     /// Replaces `bytes` by the newest native process data of drive `index` as they were received, if they were taken in
     /// after `since`, followed by what the request that left last has carried to it, if that is wanted: it is only in
@@ -139,20 +117,9 @@ pub trait Bus: Send {
         None
     }
 
-    /// Why its drives cannot be reached, for normal threads; `None` for a bus without connections.
-    fn notes(&self) -> Option<Arc<dyn Notes>> {
-        None
-    }
-
     /// The thread outside of the loop that this bus depends on has ended unexpectedly: its axes are stopped. Queried
     /// once a cycle.
     fn helper_ended(&self) -> bool {
-        false
-    }
-
-    /// One frame serves all of its drives: it is sent before the requests of other buses, since its reply comes while
-    /// they are sent; and that is one reply that is waited for, whatever the number of drives.
-    fn is_one_frame(&self) -> bool {
         false
     }
 
@@ -165,28 +132,31 @@ pub trait Bus: Send {
     fn phase_error(&mut self) -> Option<i64> {
         None
     }
+}
 
-    /// The application's end of the process data of device `index`, which is not a drive; taken once before the
-    /// start.
-    fn device(&mut self, _index: usize) -> Option<Box<dyn Any + Send>> {
-        None
+/// A bus that was opened, and what is taken of it before the start.
+pub struct Opened {
+    /// The bus, for the real-time thread.
+    pub bus: Box<dyn Bus>,
+    /// The application's ends.
+    pub ends: Ends,
+    /// Why its drives cannot be reached, for normal threads; `None` for a bus without connections.
+    pub notes: Option<Arc<dyn Notes>>,
+    /// What stops its drives without the loop, where they have no watchdog of their own for a silent master. `None`:
+    /// its drives stop by themselves once nothing is sent any more.
+    pub last_resort: Option<Box<dyn LastResort>>,
+}
+
+impl Opened {
+    /// A bus whose drives stop by themselves.
+    pub fn new(bus: impl Bus + 'static, ends: Ends, notes: impl Notes + 'static) -> Opened {
+        Opened { bus: Box::new(bus), ends, notes: Some(Arc::new(notes)), last_resort: None }
     }
+}
 
-    /// The relation of its clock and the grid, if it has a clock. Queried now and then.
-    fn clock(&self) -> Option<BusClock> {
-        None
-    }
-
-    /// The application's end of the acyclic access to device `index`, which is not a drive, and whether it can be
-    /// reached, as the link of its feedback; taken once before the start. `None`: the device has no acyclic access.
-    fn device_acyclic(&mut self, _index: usize) -> Option<(AcyclicEnds, Observer)> {
-        None
-    }
-
-    /// The application's end of the acyclic access to drive `index`. Posted calls are carried out in slices of bounded
-    /// work, and end as done, refused by the drive, or unavailable. They add no telegram to a cycle and delay none.
-    fn acyclic(&mut self, index: usize) -> Option<AcyclicEnds> {
-        self.ends()?.acyclic(index)
+impl std::fmt::Debug for Opened {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Opened").field("ends", &self.ends).field("notes", &self.notes).finish_non_exhaustive()
     }
 }
 
@@ -217,7 +187,7 @@ pub trait Notes: Debug + Send + Sync {
         None
     }
 
-    /// What `BusPlan::own_counters` name, of device `index`, which is not a drive.
+    /// What `BusFacts::own_counters` names, of device `index`, which is not a drive.
     fn device_counters(&self, _index: usize) -> [u64; OWN_COUNTERS] {
         [0; OWN_COUNTERS]
     }
@@ -453,7 +423,7 @@ pub enum Exchange {
     OwnClock {
         /// When it was sent.
         sent_at: Time,
-        /// Until when the newest accepted packet counts: its stamp and `BusPlan::fresh_within_ns`. `receive` updates
+        /// Until when the newest accepted packet counts: its stamp and `Reply::OwnClock`. `receive` updates
         /// it. 0 = none was accepted yet.
         fresh_until: Time,
     },

@@ -27,7 +27,7 @@ pub struct Counters {
     pub malformed: u64,
     /// Well-formed replies to something that was not requested, or from the wrong port.
     pub foreign: u64,
-    /// Counts that only this protocol has, as its `BusPlan::own_counters` name them.
+    /// Counts that only this protocol has, as its `BusFacts::own_counters` name them.
     pub own: [u64; OWN_COUNTERS],
 }
 
@@ -140,4 +140,20 @@ pub struct Unmatched {
     pub dropped: u64,
     /// Errors of the receiving socket.
     pub errors: u64,
+}
+
+/// What a bus counts of itself, and the state of its clock.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct BusNumbers {
+    /// What was received and belongs to no drive.
+    pub unmatched: Unmatched,
+    /// The relation of its clock and the grid, if it has a clock.
+    pub clock: Option<BusClock>,
+}
+
+/// Those of a bus without a clock.
+impl From<Unmatched> for BusNumbers {
+    fn from(unmatched: Unmatched) -> BusNumbers {
+        BusNumbers { unmatched, clock: None }
+    }
 }

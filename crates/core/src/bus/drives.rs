@@ -5,33 +5,43 @@ use std::net::SocketAddrV4;
 
 use super::OpenError;
 use crate::axis::acyclic::AcyclicEnds;
-use crate::axis::{AxisPlan, PlanFault};
+use crate::axis::{AxisPlan, Observer, PlanFault};
 use crate::net::{Carriers, Lock, Place};
 
-/// The application's ends of the drives of a bus, in slot order, until they are taken: once each, before the start.
+/// The application's ends of a bus.
 #[derive(Debug, Default)]
-pub struct Ends(Vec<End>);
+pub struct Ends {
+    /// Those of its drives, in slot order.
+    pub drives: Vec<DriveEnds>,
+    /// Those of its devices that are not drives, in the order of the plan.
+    pub devices: Vec<DeviceEnds>,
+}
 
+/// The application's ends of a drive.
 #[derive(Debug)]
-struct End {
-    native: Option<Box<dyn Any + Send>>,
-    acyclic: Option<AcyclicEnds>,
+pub struct DriveEnds {
+    /// Its native process data, by the type that its protocol names.
+    pub native: Box<dyn Any + Send>,
+    /// Its acyclic access. Posted calls are carried out in slices of bounded work, and end as done, refused by the
+    /// drive, or unavailable. They add no telegram to a cycle and delay none.
+    pub acyclic: AcyclicEnds,
+}
+
+/// The application's ends of a device that is not a drive.
+#[derive(Debug)]
+pub struct DeviceEnds {
+    /// Its process data, by the type that its protocol names.
+    pub native: Box<dyn Any + Send>,
+    /// Its acyclic access.
+    pub acyclic: AcyclicEnds,
+    /// Whether it can be reached, as the link of its feedback.
+    pub observer: Observer,
 }
 
 impl Ends {
     /// Those of the next drive: of its native process data, and of its acyclic access.
     pub fn push(&mut self, native: impl Any + Send, acyclic: AcyclicEnds) {
-        self.0.push(End { native: Some(Box::new(native)), acyclic: Some(acyclic) });
-    }
-
-    /// The native process data of drive `index`.
-    pub fn native(&mut self, index: usize) -> Option<Box<dyn Any + Send>> {
-        self.0.get_mut(index)?.native.take()
-    }
-
-    /// The acyclic access to drive `index`.
-    pub fn acyclic(&mut self, index: usize) -> Option<AcyclicEnds> {
-        self.0.get_mut(index)?.acyclic.take()
+        self.drives.push(DriveEnds { native: Box::new(native), acyclic });
     }
 }
 

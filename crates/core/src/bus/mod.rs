@@ -8,6 +8,7 @@
 //! | `diagnosis` | why a drive is not online, from these counts |
 //! | `prepared` | [`Prepared`]: what is built and has not left |
 //! | `plan`, `error` | [`BusPlan`]: a bus as configured, before any socket is open; why it cannot be opened |
+//! | `facts` | what a plan knows before the start, computed once |
 //! | `load` | what its exchanges put on its wire |
 //! | `native` | the native process data of a drive for a recording |
 //! | `drives` | what the buses of all protocols do with their drives |
@@ -21,6 +22,7 @@ pub mod desired;
 pub mod diagnosis;
 pub mod drives;
 mod error;
+pub mod facts;
 pub mod load;
 pub mod native;
 mod plan;
@@ -28,9 +30,10 @@ pub mod prepared;
 pub mod reader;
 pub mod variant;
 
-pub use self::contract::{Bus, Cycle, Earlier, Exchange, LastResort, MOST_EARLIER, Notes, Slot};
-pub use self::counters::{BusClock, Counters, OwnCounter, ProtocolCounters, Unmatched};
-pub use self::drives::Ends;
+pub use self::contract::{Bus, Cycle, Earlier, Exchange, LastResort, MOST_EARLIER, Notes, Opened, Slot};
+pub use self::counters::{BusClock, BusNumbers, Counters, OwnCounter, ProtocolCounters, Unmatched};
+pub use self::drives::{DeviceEnds, DriveEnds, Ends};
 pub use self::error::OpenError;
+pub use self::facts::{BusFacts, DriveFacts, Reply};
 pub use self::plan::{BusPlan, Grid};
 pub use self::prepared::Prepared;

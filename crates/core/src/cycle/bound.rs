@@ -1,9 +1,10 @@
 //! How long it takes from the loss of a drive to the stop request on the wire: what `check` states, tests prove and
 //! the loop itself keeps to.
 
-use super::plan::{CyclePlan, Overrun, Plan};
+use super::plan::{Overrun, Plan};
 use crate::axis::AxisPlan;
-use crate::bus::BusPlan;
+use crate::bus::facts::of_drives;
+use crate::bus::{BusFacts, DriveFacts, Grid, Reply};
 
 /// When the exchanges of a drive end, and when the next one can begin.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -32,22 +33,19 @@ pub struct Paced<'a> {
 }
 
 impl<'a> Paced<'a> {
-    /// Axis `index` of `bus`.
-    pub fn of(cycle: &CyclePlan, bus: &dyn BusPlan, index: usize, axis: &'a AxisPlan) -> Paced<'a> {
-        let (period_ns, grid) = (cycle.period_ns.max(1), cycle.grid());
-        let behind = |within_ns: u64| grid.cycles_behind(within_ns);
-        let connection = bus.reply_within_ns(index).map(|ns| Pace::Connection(behind(ns)));
-        let half_duplex = bus.request_within_ns(index, grid).zip(bus.turn_within_ns(index, grid));
-        let half_duplex = half_duplex
-            .map(|(request, end)| Pace::HalfDuplex(grid.in_window(request) / period_ns, behind(end)));
-        // Its age counts from a packet that may have come in the window, to a later grid point.
-        let own_clock =
-            bus.fresh_within_ns(index, period_ns).map(|ns| Pace::OwnClock(ns.div_ceil(period_ns)));
-        let pace = connection
-            .or(half_duplex)
-            .or(own_clock)
-            .unwrap_or_else(|| Pace::Cycle(u64::from(bus.reply_within(index).saturating_sub(1))));
-        Paced { axis, pace, before_stop: bus.before_stop(index) }
+    /// Axis `axis`, of whose drive this is known.
+    pub fn of(grid: Grid, drive: &DriveFacts, axis: &'a AxisPlan) -> Paced<'a> {
+        let period_ns = grid.period_ns.max(1);
+        let pace = match drive.reply {
+            Reply::Cycles(cycles) => Pace::Cycle(u64::from(cycles.saturating_sub(1))),
+            Reply::Connection(ns) => Pace::Connection(grid.cycles_behind(ns)),
+            Reply::Turn { request_ns, end_ns } => {
+                Pace::HalfDuplex(grid.in_window(request_ns) / period_ns, grid.cycles_behind(end_ns))
+            }
+            // Its age counts from a packet that may have come in the window, to a later grid point.
+            Reply::OwnClock(ns) => Pace::OwnClock(ns.div_ceil(period_ns)),
+        };
+        Paced { axis, pace, before_stop: drive.before_stop }
     }
 
     fn divisor(&self) -> u64 {
@@ -114,13 +112,13 @@ impl<'a> Paced<'a> {
 
 /// All axes of `plan`, in slot order.
 pub fn paced(plan: &Plan) -> Vec<Paced<'_>> {
-    plan.buses
-        .iter()
-        .flat_map(|bus| {
-            let axes = bus.axes().into_iter().enumerate();
-            axes.map(move |(index, axis)| Paced::of(&plan.cycle, &**bus, index, axis))
-        })
-        .collect()
+    paced_by(plan, &plan.facts())
+}
+
+/// The same, of whose buses this is known.
+pub fn paced_by<'a>(plan: &'a Plan, facts: &[BusFacts]) -> Vec<Paced<'a>> {
+    let axes = plan.axes().into_iter().zip(of_drives(facts));
+    axes.map(|(axis, (_, drive))| Paced::of(plan.cycle.grid(), drive, axis)).collect()
 }
 
 /// The drives that stop when `drive` does, itself included.
@@ -149,13 +147,6 @@ pub fn stop_bound_cycles(axis: &AxisPlan, all: &[&AxisPlan], reply_within: u32) 
     let in_cycle = |axis| Paced { axis, pace, before_stop: 0 };
     let all: Vec<Paced<'_>> = all.iter().map(|axis| in_cycle(*axis)).collect();
     bound(&in_cycle(axis), &all)
-}
-
-/// The names of the drives that stop when that of slot `index` does, itself included.
-pub fn stopping_with(plan: &Plan, index: usize) -> Vec<String> {
-    let all = paced(plan);
-    let with = all.get(index).into_iter().flat_map(|drive| group(drive, &all));
-    with.map(|one| one.axis.name.clone()).collect()
 }
 
 /// The same, for one drive among all.

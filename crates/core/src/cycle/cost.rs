@@ -205,10 +205,11 @@ impl Demand {
     pub fn of(plan: &Plan) -> Demand {
         let period_ns = plan.cycle.period_ns;
         let buses = plan.buses.iter().filter_map(|bus| {
-            let load = bus.load(period_ns)?;
+            let facts = bus.facts(plan.cycle.grid());
+            let load = facts.load.clone()?;
             let axes = bus.axes();
             let due = axes.iter().map(|axis| (u64::from(axis.divisor).max(1), u64::from(axis.phase)));
-            let interface = interface(&load.way, &bus.addresses());
+            let interface = interface(&load.way, &facts.addresses());
             Some(BusDemand { name: bus.name().to_owned(), due: due.collect(), interface, load })
         });
         let buses = buses.collect();

@@ -39,7 +39,7 @@ use super::window::{Gate, OpenBus, Window};
 use crate::axis::cell::Writer;
 use crate::axis::doorbell::Bells;
 use crate::axis::{Pulse, StopCause};
-use crate::bus::{Cycle, Slot};
+use crate::bus::{BusNumbers, Cycle, Slot};
 use crate::drive::controller::DriveController;
 use crate::drive::groups::GroupSync;
 use crate::inputs::InputLog;
@@ -248,13 +248,13 @@ impl<C: Clock> Engine<C> {
             .map(|axis: &DriveController| nanos(axis.plan().stop.timeout))
             .max()
             .unwrap_or(0);
-        let leads = |open: &OpenBus| plan.reference.as_deref() == Some(open.bus.name());
+        let leads = |open: &OpenBus| plan.reference.as_ref() == Some(&open.info.name);
         let reference = buses.iter().position(leads).map(|place| Reference::new(place, plan.period_ns));
         if let Some(reference) = &reference {
             buses[reference.bus()].bus.lead();
         }
         let panics = Panics::new(buses.len(), controllers.len());
-        let send_order = send_order(buses.iter().map(|open| open.bus.is_one_frame()));
+        let send_order = send_order(buses.iter().map(|open| open.is_one_frame));
         Engine {
             longest_end_ns: stops.saturating_mul(4).saturating_add(END_MARGIN_NS),
             deadline_ns: plan.deadline_ns(),
@@ -553,17 +553,19 @@ impl<C: Clock> Engine<C> {
         }
         let panic = self.loop_panic();
         let status = Status { planned: self.grid.planned(), ..self.status };
+        let of_buses: Vec<BusNumbers> = self.buses.iter().map(|open| open.bus.numbers()).collect();
         let drives = (self.axes.iter().zip(&self.controllers).zip(&self.slots))
             .map(|((axis, controller), slot)| {
-                let unmatched = self.buses.get(axis.info.bus).map(|open| open.bus.unmatched());
+                let unmatched = of_buses.get(axis.info.bus).map(|numbers| numbers.unmatched);
                 let (feedback, numbers) = (*controller.feedback(), controller.numbers(slot));
                 let mut end = axis.info.with(feedback, numbers, &unmatched.unwrap_or_default());
                 end.at_end = controller.at_end();
                 end
             })
             .collect();
-        let buses = self.buses.iter().map(|open| open.info.with(open.bus.unmatched())).collect();
-        let clocks = self.buses.iter().map(|open| open.bus.clock()).collect();
+        let buses = self.buses.iter().zip(&of_buses);
+        let buses = buses.map(|(open, numbers)| open.info.with(numbers.unmatched)).collect();
+        let clocks = of_buses.iter().map(|numbers| numbers.clock).collect();
         let devices = self.buses.iter().flat_map(|open| open.info.devices()).collect();
         Numbers {
             status,

@@ -9,8 +9,9 @@ use crate::axis::{
     AxisPlan, FaultNames, GroupError, MONITOR_CHANNELS, MonitorChannel, PlanFault, SilenceFaults, Units,
     is_plain_name,
 };
+use crate::bus::facts::of_drives;
 use crate::bus::native::NativeLayout;
-use crate::bus::{BusPlan, Grid, OwnCounter};
+use crate::bus::{BusFacts, BusPlan, DriveFacts, Grid, OwnCounter};
 use crate::rt::host::Throttling;
 use crate::rt::{Memory, Realtime};
 use crate::time::{MS, Ns, S, US};
@@ -71,11 +72,14 @@ impl Plan {
         self.axes().into_iter().map(|axis| axis.units).collect()
     }
 
+    /// What is known of each bus before the start.
+    pub fn facts(&self) -> Vec<BusFacts> {
+        self.buses.iter().map(|bus| bus.facts(self.cycle.grid())).collect()
+    }
+
     /// The monitored variables of the drives, in slot order.
     pub fn monitored(&self) -> Vec<[Option<MonitorChannel>; MONITOR_CHANNELS]> {
-        let channels =
-            self.buses.iter().flat_map(|bus| (0..bus.axes().len()).map(|index| bus.monitored(index)));
-        channels.collect()
+        self.of_each_drive(|_, drive| drive.monitored.clone())
     }
 
     /// The most records that the loop makes in a cycle: one per drive, one more per drive that reports monitored
@@ -149,7 +153,8 @@ impl Plan {
         if let Some(why) = self.black_box_fault() {
             errors.push(format!("cycle: {why}"));
         }
-        if let Some(why) = self.reference_fault() {
+        let facts = self.facts();
+        if let Some(why) = self.reference_fault(&facts) {
             errors.push(format!("cycle: {why}"));
         }
         errors.extend(self.native_layouts().err());
@@ -171,7 +176,7 @@ impl Plan {
                     .push(format!("drive {}: its name is taken; names are unique in the machine", axis.name));
             }
         }
-        errors.extend(self.device_faults(&axes));
+        errors.extend(device_faults(&facts, &axes));
         for bus in &self.buses {
             let (mut faults, axes) = (bus.faults(self.cycle.period_ns), bus.axes());
             if faults.is_empty() {
@@ -195,40 +200,23 @@ impl Plan {
     }
 
     /// Why the bus that is named as the reference cannot lead the grid.
-    pub(crate) fn reference_fault(&self) -> Option<String> {
+    fn reference_fault(&self, facts: &[BusFacts]) -> Option<String> {
         let name = self.cycle.reference.as_deref()?;
-        let named: Vec<_> = self.buses.iter().filter(|bus| bus.name() == name).collect();
-        let clocks: Vec<_> =
-            (self.buses.iter()).filter(|bus| bus.has_clock()).map(|bus| bus.name()).collect();
+        let buses = self.buses.iter().map(|bus| bus.name()).zip(facts);
+        let named: Vec<_> = buses.clone().filter(|(known, _)| *known == name).collect();
+        let clocks: Vec<_> = buses.filter(|(_, bus)| bus.has_clock).map(|(known, _)| known).collect();
         let remedy = match clocks[..] {
             [] => "no bus of this machine has one: leave reference out".to_owned(),
             _ => format!("name one that has: {}", clocks.join(", ")),
         };
         match named[..] {
             [] => Some(format!("reference = {name:?} is not a bus; {remedy}")),
-            [bus] if bus.has_clock() => None,
-            [bus] => {
-                let protocol = bus.protocol();
+            [(_, bus)] if bus.has_clock => None,
+            [(_, BusFacts { protocol, .. })] => {
                 Some(format!("reference = {name:?}: a {protocol} bus has no clock that can lead; {remedy}"))
             }
             _ => Some(format!("reference = {name:?} names {} buses; give each its own name", named.len())),
         }
-    }
-
-    /// What is wrong with the names of the devices that are not drives.
-    fn device_faults(&self, axes: &[&AxisPlan]) -> Vec<String> {
-        let devices: Vec<&str> = self.buses.iter().flat_map(|bus| bus.devices()).collect();
-        let fault = |(index, name): (usize, &&str)| {
-            let taken = devices[..index].contains(name) || axes.iter().any(|axis| axis.name == **name);
-            if !is_plain_name(name) {
-                Some(format!("device {name:?}: its name must be 1 to 32 letters, digits, - _ or ."))
-            } else if taken {
-                Some(format!("device {name}: its name is taken; names are unique in the machine"))
-            } else {
-                None
-            }
-        };
-        devices.iter().enumerate().filter_map(fault).collect()
     }
 
     /// Why the black box is too large. Its memory is locked with all the rest.
@@ -279,22 +267,22 @@ impl Plan {
 
     /// The counters of each drive that only its protocol has, in slot order.
     pub fn own_counters(&self) -> Vec<&'static [OwnCounter]> {
-        self.of_each_drive(|bus| bus.own_counters())
+        self.of_each_drive(|bus, _| bus.own_counters)
     }
 
     /// The names of the fault codes of each drive, in slot order.
     pub fn fault_names(&self) -> Vec<FaultNames> {
-        self.of_each_drive(|bus| bus.fault_names())
+        self.of_each_drive(|bus, _| bus.fault_names)
     }
 
     /// Which fault codes say that the master was silent, of each drive, in slot order.
     #[doc(hidden)]
     pub fn silence_faults(&self) -> Vec<SilenceFaults> {
-        self.of_each_drive(|bus| bus.silence_faults())
+        self.of_each_drive(|bus, _| bus.silence_faults)
     }
 
-    fn of_each_drive<T: Clone>(&self, of: impl Fn(&dyn BusPlan) -> T) -> Vec<T> {
-        self.buses.iter().flat_map(|bus| vec![of(&**bus); bus.axes().len()]).collect()
+    fn of_each_drive<T>(&self, of: impl Fn(&BusFacts, &DriveFacts) -> T) -> Vec<T> {
+        of_drives(&self.facts()).map(|(bus, drive)| of(bus, drive)).collect()
     }
 
     /// The bus of axis `name`, and its index there.
@@ -307,8 +295,25 @@ impl Plan {
 
     /// The bus that has a device of this name that is not a drive.
     pub fn find_device(&self, name: &str) -> Option<&dyn BusPlan> {
-        self.buses.iter().find(|bus| bus.devices().contains(&name)).map(|bus| &**bus)
+        let has = |bus: &BusFacts| bus.devices.iter().any(|device| device == name);
+        self.buses.iter().zip(self.facts()).find(|(_, facts)| has(facts)).map(|(bus, _)| &**bus)
     }
+}
+
+/// What is wrong with the names of the devices that are not drives.
+fn device_faults(facts: &[BusFacts], axes: &[&AxisPlan]) -> Vec<String> {
+    let devices: Vec<&String> = facts.iter().flat_map(|bus| &bus.devices).collect();
+    let fault = |(index, name): (usize, &&String)| {
+        let taken = devices[..index].contains(name) || axes.iter().any(|axis| axis.name == **name);
+        if !is_plain_name(name) {
+            Some(format!("device {name:?}: its name must be 1 to 32 letters, digits, - _ or ."))
+        } else if taken {
+            Some(format!("device {name}: its name is taken; names are unique in the machine"))
+        } else {
+            None
+        }
+    };
+    devices.iter().enumerate().filter_map(fault).collect()
 }
 
 impl GroupPlan {

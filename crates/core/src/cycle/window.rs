@@ -8,7 +8,7 @@
 use super::plan::Wait;
 use super::status::BusInfo;
 use crate::axis::cell::Writer;
-use crate::bus::{Bus, BusClock, Cycle, Slot, Unmatched};
+use crate::bus::{Bus, BusClock, BusNumbers, Cycle, Slot, Unmatched};
 use crate::inputs::InputLog;
 use crate::rt::{Clock, PollSet, Regions, Wires};
 use crate::time::{Time, US};
@@ -142,8 +142,9 @@ impl OpenBus {
 
     /// Publishes the numbers of the bus.
     pub fn publish(&mut self) {
-        self.unmatched.write(&self.bus.unmatched());
-        self.clock.write(&self.bus.clock());
+        let BusNumbers { unmatched, clock } = self.bus.numbers();
+        self.unmatched.write(&unmatched);
+        self.clock.write(&clock);
     }
 }
 
@@ -366,10 +367,6 @@ mod tests {
     }
 
     impl Bus for Turns {
-        fn name(&self) -> &str {
-            "turns"
-        }
-
         fn memory(&self, _: &mut Regions) {}
 
         fn fd(&self) -> Option<RawFd> {
@@ -400,8 +397,8 @@ mod tests {
             true
         }
 
-        fn unmatched(&self) -> Unmatched {
-            Unmatched::default()
+        fn numbers(&self) -> BusNumbers {
+            BusNumbers::default()
         }
     }
 

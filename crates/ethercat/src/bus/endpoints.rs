@@ -5,16 +5,15 @@ use std::sync::Arc;
 
 use crate::counters::{DeviceCounters, Own};
 use crate::image::Offsets;
-use crate::native::{TerminalPort, Terminals};
+use crate::native::TerminalPort;
 use crate::plan::{Owner, Start};
 use crate::segment::{Handler, SlaveState, Taken};
 use crate::service::Service;
 use crate::slot::Answers;
 use crate::station::Station;
 use crate::wire::registers::AlState;
-use fieldbeat_core::axis::acyclic::AcyclicEnds;
 use fieldbeat_core::axis::cell::Writer;
-use fieldbeat_core::axis::{Emergency, Feedback, Link, Observer};
+use fieldbeat_core::axis::{Emergency, Feedback, Link};
 use fieldbeat_core::bus::{Counters, Exchange, Slot};
 use fieldbeat_core::time::Time;
 
@@ -45,9 +44,6 @@ pub(super) struct DeviceEnd {
     pub(super) operational: bool,
     /// What is counted of it.
     pub(super) counters: Arc<DeviceCounters>,
-    /// The application's ends, until they are fetched.
-    pub(super) terminals: Option<Terminals>,
-    pub(super) acyclic: Option<(AcyclicEnds, Observer)>,
 }
 
 /// All of them, with the slots of the drives.

@@ -13,7 +13,6 @@ mod frames;
 mod notes;
 mod plan;
 
-use std::any::Any;
 use std::os::fd::RawFd;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU8, Ordering};
@@ -31,11 +30,13 @@ use super::service::Service;
 use super::start_up::{start_up, verify, verify_found};
 use super::station::Station;
 use super::wire::frame::{FRAME_MAX, PASSED};
-use fieldbeat_core::axis::acyclic::{self, AcyclicEnds, Commanding};
+use fieldbeat_core::axis::acyclic::{self, Commanding};
 use fieldbeat_core::axis::cell;
 use fieldbeat_core::axis::{Feedback, Observer};
 use fieldbeat_core::bus::native::{NativeBytes, WantedOutputs};
-use fieldbeat_core::bus::{Bus, BusClock, Cycle, Ends, Exchange, Notes, OpenError, Slot, Unmatched};
+use fieldbeat_core::bus::{
+    Bus, BusNumbers, Cycle, DeviceEnds, Ends, Exchange, OpenError, Opened, Slot, Unmatched,
+};
 use fieldbeat_core::net::{Carriers, Frames, Lock};
 use fieldbeat_core::rt::{Regions, Wires};
 use fieldbeat_core::time::{Time, US};
@@ -52,7 +53,6 @@ const SILENT: u8 = 100;
 
 /// A segment of drives and devices.
 pub struct EthercatBus {
-    name: String,
     net: Box<dyn Frames>,
     source: [u8; 6],
     image: Image,
@@ -61,7 +61,6 @@ pub struct EthercatBus {
     devices: Vec<DeviceEnd>,
     /// The outputs of each drive.
     outgoing: Box<[Outgoing]>,
-    ends: Ends,
     /// Identifies this master in its frames, and counts them.
     mark: Mark,
     /// The state of the last frames, each at the index of its number.
@@ -85,20 +84,13 @@ pub struct EthercatBus {
 
 impl std::fmt::Debug for EthercatBus {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("EthercatBus")
-            .field("name", &self.name)
-            .field("segment", &self.segment)
-            .finish_non_exhaustive()
+        f.debug_struct("EthercatBus").field("segment", &self.segment).finish_non_exhaustive()
     }
 }
 
 impl EthercatBus {
     /// Opens the interface of `plan`, which is free of faults, for a cycle of `period_ns`.
-    pub fn open(
-        plan: &EthercatPlan,
-        period_ns: u64,
-        carriers: &dyn Carriers,
-    ) -> Result<EthercatBus, OpenError> {
+    pub fn open(plan: &EthercatPlan, period_ns: u64, carriers: &dyn Carriers) -> Result<Opened, OpenError> {
         let (mut net, lock) = open(plan, carriers)?;
         let log = carriers.log();
         let mut plan = plan.clone();
@@ -136,8 +128,10 @@ impl EthercatBus {
             .collect();
         let devices = plan.devices.iter().enumerate().map(|(index, Device { slave, .. })| {
             let (application, port) = terminals(slave.output_bytes(), slave.input_bytes());
-            let (ends, calls) = acyclic::queue(DEVICE_CALLS, Commanding::none());
+            let (acyclic, calls) = acyclic::queue(DEVICE_CALLS, Commanding::none());
             let (reached, reader) = cell::cell(Feedback::default());
+            let observer = Observer::new(reader, Wires::default());
+            ends.devices.push(DeviceEnds { native: Box::new(application), acyclic, observer });
             DeviceEnd {
                 service: Service::new(slave, Some(calls.logged(&log)), turn_ns),
                 reached,
@@ -145,8 +139,6 @@ impl EthercatBus {
                 offsets: offsets_of(Owner::Device(index)).1,
                 operational: false,
                 counters: Arc::default(),
-                terminals: Some(application),
-                acyclic: Some((ends, Observer::new(reader, Wires::default()))),
             }
         });
         let devices = devices.collect();
@@ -154,8 +146,7 @@ impl EthercatBus {
         if let Some(today_ns) = net.today_ns() {
             segment.clock.begin(today_ns);
         }
-        Ok(EthercatBus {
-            name: plan.name.clone(),
+        let bus = EthercatBus {
             net,
             source,
             flights: vec![Flight::default(); image.frames().len()].into(),
@@ -163,7 +154,6 @@ impl EthercatBus {
             drives,
             outgoing: outgoing.into(),
             devices,
-            ends,
             segment,
             mark: Mark { master: (begun.0 ^ begun.0 >> 32) as u32, number: 0 },
             known: Box::new([Known::default(); KNOWN]),
@@ -176,15 +166,28 @@ impl EthercatBus {
             unmatched: Unmatched::default(),
             other: OtherMaster::default(),
             _lock: lock,
-        })
+        };
+        let notes = bus.notes();
+        Ok(Opened::new(bus, ends, notes))
+    }
+
+    /// Why its drives and devices are not in operation.
+    fn notes(&self) -> SlaveNotes {
+        let slave_of = |owner| self.segment.slave_of(owner);
+        SlaveNotes {
+            notes: self.segment.notes.clone(),
+            remarks: [&self.segment.remarks, &self.segment.further].map(Clone::clone),
+            drives: (0..self.drives.len()).map(Owner::Drive).filter_map(slave_of).collect(),
+            devices: (0..self.devices.len()).map(Owner::Device).filter_map(slave_of).collect(),
+            counters: self.devices.iter().map(|device| device.counters.clone()).collect(),
+            dropped: self.net.dropped(),
+            wire: self.wire.clone(),
+            interface: self.interface.clone(),
+        }
     }
 }
 
 impl Bus for EthercatBus {
-    fn name(&self) -> &str {
-        &self.name
-    }
-
     fn memory(&self, regions: &mut Regions) {
         regions.add(self);
         self.net.memory(regions);
@@ -291,30 +294,9 @@ impl Bus for EthercatBus {
         self.segment.shut_down(cycle.grid) && !owed
     }
 
-    fn unmatched(&self) -> Unmatched {
-        Unmatched { errors: self.net.errors(), ..self.unmatched }
-    }
-
-    fn notes(&self) -> Option<Arc<dyn Notes>> {
-        let slave_of = |owner| self.segment.slave_of(owner);
-        Some(Arc::new(SlaveNotes {
-            notes: self.segment.notes.clone(),
-            remarks: [&self.segment.remarks, &self.segment.further].map(Clone::clone),
-            drives: (0..self.drives.len()).map(Owner::Drive).filter_map(slave_of).collect(),
-            devices: (0..self.devices.len()).map(Owner::Device).filter_map(slave_of).collect(),
-            counters: self.devices.iter().map(|device| device.counters.clone()).collect(),
-            dropped: self.net.dropped(),
-            wire: self.wire.clone(),
-            interface: self.interface.clone(),
-        }))
-    }
-
-    fn ends(&mut self) -> Option<&mut Ends> {
-        Some(&mut self.ends)
-    }
-
-    fn is_one_frame(&self) -> bool {
-        true
+    fn numbers(&self) -> BusNumbers {
+        let unmatched = Unmatched { errors: self.net.errors(), ..self.unmatched };
+        BusNumbers { unmatched, clock: self.segment.clock_status() }
     }
 
     fn lead(&mut self) {
@@ -323,18 +305,5 @@ impl Bus for EthercatBus {
 
     fn phase_error(&mut self) -> Option<i64> {
         self.segment.clock.take_error()
-    }
-
-    fn clock(&self) -> Option<BusClock> {
-        self.segment.clock_status()
-    }
-
-    fn device_acyclic(&mut self, index: usize) -> Option<(AcyclicEnds, Observer)> {
-        self.devices.get_mut(index)?.acyclic.take()
-    }
-
-    fn device(&mut self, index: usize) -> Option<Box<dyn Any + Send>> {
-        let terminals = self.devices.get_mut(index)?.terminals.take()?;
-        Some(Box::new(terminals))
     }
 }

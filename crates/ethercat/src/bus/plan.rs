@@ -1,8 +1,6 @@
 //! The plan of a segment as a [`BusPlan`], and the interface that it names.
 
 use std::io::ErrorKind;
-use std::net::SocketAddrV4;
-use std::sync::Arc;
 
 use super::EthercatBus;
 use crate::counters::OWN;
@@ -15,15 +13,12 @@ use crate::plan::{EthercatPlan, KollmorgenDrive, Owner};
 use crate::scan::{Busy, Shown, require_idle};
 use crate::wire::frame::ETHERTYPE;
 use crate::{PROTOCOL, faults, profile};
-use fieldbeat_core::axis::acyclic::Notation;
 use fieldbeat_core::axis::feedback::MONITOR_CHANNELS;
-use fieldbeat_core::axis::{AxisPlan, FaultNames, FoundRunning, MonitorChannel, PlanFault, SilenceFaults};
-use fieldbeat_core::bus::desired::Capabilities;
-use fieldbeat_core::bus::diagnosis::Row;
+use fieldbeat_core::axis::{AxisPlan, FoundRunning, PlanFault};
 use fieldbeat_core::bus::load::{Load, Medium, Way};
 use fieldbeat_core::bus::native::NativeLayout;
 use fieldbeat_core::bus::variant::Variant;
-use fieldbeat_core::bus::{Bus, BusPlan, OpenError, OwnCounter};
+use fieldbeat_core::bus::{BusFacts, BusPlan, DriveFacts, Grid, OpenError, Opened};
 use fieldbeat_core::errors::no_descriptor;
 use fieldbeat_core::net::{Carriers, Frames, Lock, Place};
 
@@ -78,10 +73,6 @@ impl BusPlan for EthercatPlan {
         &self.name
     }
 
-    fn protocol(&self) -> &'static str {
-        PROTOCOL
-    }
-
     fn axes(&self) -> Vec<&AxisPlan> {
         self.drives.iter().map(|drive| &drive.axis).collect()
     }
@@ -90,16 +81,46 @@ impl BusPlan for EthercatPlan {
         EthercatPlan::faults(self, period_ns)
     }
 
-    fn drive_watchdog_ns(&self, index: usize) -> Option<u64> {
-        self.drives.get(index)?.slave.watchdog.ns()
+    fn facts(&self, grid: Grid) -> BusFacts {
+        let drive = |drive: &KollmorgenDrive| {
+            let (place, can) = (drive.slave.place, profile::capabilities(drive, grid.period_ns));
+            DriveFacts {
+                watchdog_ns: drive.slave.watchdog.ns(),
+                monitored: drive.shown(),
+                ..DriveFacts::on_wire(place, place.into(), can)
+            }
+        };
+        let slaves = self.slaves();
+        let has_clock = slaves.iter().any(|(_, slave)| slave.sync);
+        let load = Image::new(&slaves, 0, [0; 6], has_clock, self.lrw).map(|(image, _)| Load {
+            medium: Medium::Frames,
+            way: Way::Interface(self.interface.clone()),
+            bytes: [0; 2],
+            frames: image.frames().iter().map(|frame| frame.bytes().len()).collect(),
+        });
+        BusFacts {
+            devices: self.devices.iter().map(|device| device.name.clone()).collect(),
+            has_clock,
+            is_one_frame: true,
+            load,
+            own_counters: &OWN,
+            fault_names: |code| u16::try_from(code).ok().and_then(faults::name),
+            silence_faults: |code| code == u32::from(faults::Fault::SYNCHRONISATION.code),
+            diagnosis: &DIAGNOSIS,
+            ..BusFacts::new(PROTOCOL, Objects, self.drives.iter().map(drive).collect())
+        }
     }
 
-    fn describe(&self, period_ns: u64) -> Vec<String> {
-        EthercatPlan::describe(self, period_ns)
+    fn describe(&self, grid: Grid) -> Vec<String> {
+        EthercatPlan::describe(self, grid.period_ns)
     }
 
-    fn open(&self, period_ns: u64, carriers: &dyn Carriers) -> Result<Box<dyn Bus>, OpenError> {
-        Ok(Box::new(EthercatBus::open(self, period_ns, carriers)?))
+    fn native_layout(&self, index: usize) -> NativeLayout {
+        self.drives.get(index).map_or_else(NativeLayout::default, layout)
+    }
+
+    fn open(&self, period_ns: u64, carriers: &dyn Carriers) -> Result<Opened, OpenError> {
+        EthercatBus::open(self, period_ns, carriers)
     }
 
     fn require_idle(&self, carriers: &dyn Carriers) -> Result<(), OpenError> {
@@ -118,47 +139,6 @@ impl BusPlan for EthercatPlan {
         }
     }
 
-    fn load(&self, _period_ns: u64) -> Option<Load> {
-        let slaves = self.slaves();
-        let clock = slaves.iter().any(|(_, slave)| slave.sync);
-        let (image, _) = Image::new(&slaves, 0, [0; 6], clock, self.lrw)?;
-        let frames = image.frames().iter().map(|frame| frame.bytes().len()).collect();
-        let way = Way::Interface(self.interface.clone());
-        Some(Load { medium: Medium::Frames, way, bytes: [0; 2], frames })
-    }
-
-    fn monitored(&self, index: usize) -> [Option<MonitorChannel>; MONITOR_CHANNELS] {
-        self.drives.get(index).map_or([const { None }; MONITOR_CHANNELS], KollmorgenDrive::shown)
-    }
-
-    fn native_layout(&self, index: usize) -> NativeLayout {
-        self.drives.get(index).map_or_else(NativeLayout::default, layout)
-    }
-
-    fn own_counters(&self) -> &'static [OwnCounter] {
-        &OWN
-    }
-
-    fn capabilities(&self, index: usize, period_ns: u64) -> Capabilities {
-        profile::capabilities(&self.drives[index], period_ns)
-    }
-
-    fn fault_names(&self) -> FaultNames {
-        |code| u16::try_from(code).ok().and_then(faults::name)
-    }
-
-    fn silence_faults(&self) -> SilenceFaults {
-        |code| code == u32::from(faults::Fault::SYNCHRONISATION.code)
-    }
-
-    fn diagnosis(&self) -> &'static [Row] {
-        &DIAGNOSIS
-    }
-
-    fn notation(&self) -> Arc<dyn Notation> {
-        Arc::new(Objects)
-    }
-
     /// The whole segment has to come up for one drive: the plan is reduced to this drive, the others stay in INIT.
     fn reaching(&self, index: usize) -> Option<Box<dyn BusPlan>> {
         let mut drive = self.drives.get(index)?.clone();
@@ -169,25 +149,5 @@ impl BusPlan for EthercatPlan {
 
     fn variant(&self, wanted: &Variant) -> Option<Box<dyn BusPlan>> {
         Some(Box::new(EthercatPlan::variant(self, wanted)?))
-    }
-
-    fn place(&self, index: usize) -> Option<String> {
-        self.drives.get(index).map(|drive| drive.slave.place.to_string())
-    }
-
-    fn place_on_wire(&self, index: usize) -> usize {
-        self.drives.get(index).map_or(index, |drive| usize::from(drive.slave.place))
-    }
-
-    fn addresses(&self) -> Vec<SocketAddrV4> {
-        Vec::new()
-    }
-
-    fn has_clock(&self) -> bool {
-        self.slaves().iter().any(|(_, slave)| slave.sync)
-    }
-
-    fn devices(&self) -> Vec<&str> {
-        self.devices.iter().map(|device| device.name.as_str()).collect()
     }
 }

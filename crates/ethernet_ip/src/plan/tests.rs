@@ -1,8 +1,11 @@
 use super::*;
 use fieldbeat_core::axis::{HeldBy, Load, PlanFault};
-use fieldbeat_core::bus::BusPlan;
+use fieldbeat_core::bus::{BusPlan, Grid};
 use fieldbeat_core::cycle::bound::{Paced, bound, stop_bound};
 use fieldbeat_core::cycle::{CyclePlan, Plan};
+
+/// That of the usual cycle.
+const GRID: Grid = Grid { period_ns: MS, deadline_ns: MS / 2 };
 
 /// With a packet every ten cycles of 1 ms.
 fn drive() -> MoonsDrive {
@@ -91,9 +94,8 @@ fn the_bound_of_the_loop_is_what_a_connection_has_to_outlive() {
             (divisor, bucket, fresh_within_ns);
         let expected = drive.loss_to_stop_ns(MS);
         let bus = bus(vec![drive]);
-        let cycle = CyclePlan::default();
-        let axes = bus.axes();
-        let paced = Paced::of(&cycle, &bus, 0, axes[0]);
+        let (cycle, facts) = (CyclePlan::default(), bus.facts(GRID));
+        let paced = Paced::of(GRID, &facts.drives[0], bus.axes()[0]);
         assert_eq!(expected, bound(&paced, &[paced]) * MS);
         let plan = Plan { source: None, cycle, buses: vec![Box::new(bus)], groups: Vec::new() };
         assert_eq!(expected, stop_bound(&plan, 0) * MS);
@@ -183,7 +185,7 @@ fn check_says_intervals_commands_and_what_happens_if_the_master_dies() {
     let mut drive = drive();
     drive.axis.load = Load::Vertical(HeldBy::Drive);
     let plan = bus(vec![drive.clone()]);
-    let says = plan.describe(MS).remove(0);
+    let says = plan.describe(GRID).remove(0);
     let lines: Vec<&str> = says.lines().collect();
     assert_eq!(lines[0], "192.168.1.1:2222 -> 192.168.1.40:44818");
     for part in [
@@ -196,9 +198,10 @@ fn check_says_intervals_commands_and_what_happens_if_the_master_dies() {
     ] {
         assert!(says.contains(part), "{part}\n{says}");
     }
-    assert_eq!(plan.drive_watchdog_ns(0), Some(500 * MS));
+    let stops_within_ns = |plan: &EthernetIpPlan| plan.facts(GRID).drives[0].watchdog_ns;
+    assert_eq!(stops_within_ns(&plan), Some(500 * MS));
     (drive.watchdog.within_ns, drive.watchdog.accept_none) = (None, true);
-    assert_eq!(bus(vec![drive.clone()]).drive_watchdog_ns(0), None);
+    assert_eq!(stops_within_ns(&bus(vec![drive.clone()])), None);
     drive.connection = Access::InputOnly;
     let says = drive.describe(plan.bind, MS);
     assert!(says.contains("no motion: the connection is \"input-only\""), "{says}");
@@ -219,6 +222,6 @@ fn what_is_shown_has_its_names_in_its_order_and_an_alarm_word_that_of_the_alarm_
     assert_eq!(names(&drive())[0].as_deref(), Some("supply-voltage"));
     assert_eq!(names(&drive())[3].as_deref(), Some("position-error"));
     assert_eq!(names(&MoonsDrive { layout: Layout::Page, ..drive() })[3], None);
-    let name = bus(Vec::new()).fault_names();
+    let name = bus(Vec::new()).facts(GRID).fault_names;
     assert_eq!([0x0002, 0x0202, 0].map(name), [Some("CCW limit"), Some("bad encoder"), None]);
 }

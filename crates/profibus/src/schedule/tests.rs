@@ -100,10 +100,10 @@ fn a_drive_that_wants_a_pause_is_asked_for_less_and_waited_for_longer() {
     let [(1, PlanFault { key: "divisor", message })] = &said[..] else { panic!("{said:?}") };
     assert!(message.contains("more often than min_slave_interval = 2.5 ms allows; use divisor 3 or more"));
     assert_eq!(plan.least_divisor(WIDE), Some(3));
-    let before = plan.turn_within(0, WIDE);
+    let before = plan.turns(WIDE)[0][1];
     plan.drives.iter_mut().for_each(|drive| drive.axis.divisor = 3);
     assert_eq!(plan.schedule_faults(WIDE), []);
-    let waits = |plan: &ProfibusPlan| [plan.turn_within(0, WIDE), plan.turn_within(1, WIDE)];
+    let waits = |plan: &ProfibusPlan| [0, 1].map(|index| plan.turns(WIDE)[index][1]);
     let [one, other] = waits(&plan);
     assert!(one <= before && other >= 2_500 * US, "{one} {other}");
     plan.drives[1].min_slave_interval_ns = 0;
@@ -148,7 +148,7 @@ fn global_control_is_ahead_of_no_drive_of_a_wire_that_catches_up() {
     let mut plan = wire(1_500_000, 2);
     let (bit, byte) = (2_000.0 / 3.0, 22_000.0 / 3.0);
     let (once, control) = (42.0 * byte + 183.0 * bit, 13.0 * byte + 150.0 * bit);
-    let within = |plan: &ProfibusPlan| [plan.request_within(1, WIDE), plan.turn_within(1, WIDE)];
+    let within = |plan: &ProfibusPlan| plan.turns(WIDE)[1];
     let close = |within: [u64; 2], expected: [f64; 2]| {
         let is_close = within.iter().zip(expected).all(|(ns, expected)| (*ns as f64 - expected).abs() < 10.0);
         assert!(is_close, "{within:?}, {expected:?}");
@@ -165,5 +165,6 @@ fn global_control_is_ahead_of_no_drive_of_a_wire_that_catches_up() {
     // Alone on its wire it follows the own telegrams of the master only.
     let mut plan = wire(500_000, 1);
     plan.drives[0].axis.divisor = 3;
-    assert_eq!((plan.request_within(0, USUAL), plan.request_within(1, USUAL)), (32 * US, 0));
+    let [[request_ns, _]] = plan.turns(USUAL)[..] else { panic!("one drive") };
+    assert_eq!(request_ns, 32 * US);
 }

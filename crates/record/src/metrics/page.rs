@@ -10,8 +10,8 @@ use prometheus_client::registry::{Registry, Unit};
 
 use crate::summary::{Found, loads};
 use fieldbeat_core::axis::{Link, MonitorChannel};
-use fieldbeat_core::bus::{BusClock, OwnCounter, Unmatched};
-use fieldbeat_core::cycle::Plan;
+use fieldbeat_core::bus::facts::of_drives;
+use fieldbeat_core::bus::{BusClock, BusFacts, OwnCounter, Unmatched};
 use fieldbeat_core::cycle::record::Stage;
 use fieldbeat_core::cycle::status::{DeviceEnd, DriveEnd, Numbers, ReferenceStatus, Status};
 use fieldbeat_core::rt::host;
@@ -42,6 +42,7 @@ impl Collector for Machine {
         let Machine(monitor) = self;
         let (plan, numbers) = (monitor.plan(), monitor.numbers());
         let Numbers { status, drives, buses, clocks, devices, .. } = &numbers;
+        let facts = plan.facts();
         let mut sheet = Sheet(encoder);
         sheet.host(monitor)?;
         sheet.values((Time, "cycle_period", "The period of the cycle."), [([], plan.cycle.period_ns)])?;
@@ -52,12 +53,12 @@ impl Collector for Machine {
         sheet.numbers(&REFERENCE, led.zip(status.reference.as_ref()))?;
         let named = || drives.iter().map(|drive| (name_of(drive), drive));
         sheet.numbers(&DRIVE, named())?;
-        sheet.protocols(plan, drives)?;
+        sheet.protocols(&facts, drives)?;
         let connected = named().enumerate().filter(|(index, _)| monitor.has_connection(*index));
         sheet.numbers(&CONNECTION, connected.map(|(_, drive)| drive))?;
-        sheet.monitored(plan, drives)?;
+        sheet.monitored(&facts, drives)?;
         sheet.numbers(&BUS, buses.iter().map(|(name, bus)| ([("bus", name.as_str())], bus)))?;
-        let loads = buses.iter().zip(loads(plan, &numbers));
+        let loads = buses.iter().zip(loads(&facts, plan.cycle.period_ns, &numbers));
         let loads = loads.filter_map(|((name, _), percent)| Some(([("bus", name.as_str())], percent?)));
         let help = ("bus_load_percent", "Load of the bus by the telegrams of its drives, since the start.");
         sheet.family(help, None, MetricType::Gauge, loads, |to, percent| to.encode_gauge(&percent))?;
@@ -266,10 +267,11 @@ impl Sheet<'_> {
         })
     }
 
-    fn protocols(&mut self, plan: &Plan, drives: &[DriveEnd]) -> fmt::Result {
-        let samples = drives.iter().zip(plan.own_counters()).flat_map(|(drive, own)| {
+    fn protocols(&mut self, facts: &[BusFacts], drives: &[DriveEnd]) -> fmt::Result {
+        let samples = drives.iter().zip(of_drives(facts)).flat_map(|(drive, (bus, _))| {
             let labels = |key| [("drive", drive.name.as_str()), ("what", key)];
-            own.iter()
+            bus.own_counters
+                .iter()
                 .zip(drive.counters.own)
                 .map(move |(OwnCounter { key, .. }, count)| (labels(*key), count))
         });
@@ -284,7 +286,7 @@ impl Sheet<'_> {
         self.values((Count, "device_protocol_events", "Counters of the protocol of the device."), samples)
     }
 
-    fn monitored(&mut self, plan: &Plan, drives: &[DriveEnd]) -> fmt::Result {
+    fn monitored(&mut self, facts: &[BusFacts], drives: &[DriveEnd]) -> fmt::Result {
         type Field = (&'static str, &'static str, fn(&DriveEnd, usize) -> Option<f64>);
         const VALUES: [Field; 3] = [
             (
@@ -303,10 +305,9 @@ impl Sheet<'_> {
                 drive.monitor[channel].map(|extent| extent.max)
             }),
         ];
-        let monitored = plan.monitored();
         let mut variables = Vec::new();
-        for (drive, channels) in drives.iter().zip(&monitored) {
-            for (channel, named) in channels.iter().enumerate() {
+        for (drive, (_, of)) in drives.iter().zip(of_drives(facts)) {
+            for (channel, named) in of.monitored.iter().enumerate() {
                 variables.extend(named.as_ref().map(|named| (drive, channel, named)));
             }
         }

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use fieldbeat_core::axis::{FaultNames, MONITOR_CHANNELS};
+use fieldbeat_core::bus::facts::of_drives;
 use fieldbeat_core::bus::native::NativeLayout;
 use fieldbeat_core::cycle::Plan;
 use fieldbeat_core::rt::host;
@@ -87,15 +88,15 @@ impl Machine {
             ("configuration", source.and_then(|path| std::fs::read_to_string(path).ok())),
         ]);
         about.extend(more.filter_map(|(key, value)| Some((key.to_owned(), value?))));
-        let of_buses = plan.buses.iter().flat_map(|bus| bus.axes().into_iter().map(|_| bus.protocol()));
-        let axes = plan.axes().into_iter().zip(of_buses).zip(plan.monitored()).zip(plan.fault_names());
-        let axes = axes.map(|(((axis, protocol), monitored), faults)| AxisAbout {
+        let facts = plan.facts();
+        let axes = plan.axes().into_iter().zip(of_drives(&facts));
+        let axes = axes.map(|(axis, (bus, drive))| AxisAbout {
             name: axis.name.clone(),
-            about: of_axis(&axis.units.unit.to_string(), Some(protocol)),
+            about: of_axis(&axis.units.unit.to_string(), Some(bus.protocol)),
             modulo: axis.units.modulo,
-            monitor: monitored.map(|channel| channel.map(|of| (of.name, of.unit.to_owned()))),
+            monitor: drive.monitored.clone().map(|channel| channel.map(|of| (of.name, of.unit.to_owned()))),
             native: None,
-            faults: Faults::Known(faults),
+            faults: Faults::Known(bus.fault_names),
         });
         let mut axes: Vec<AxisAbout> = axes.collect();
         for (axis, layout) in plan.native_layouts().into_iter().flatten() {

@@ -4,8 +4,7 @@ use std::fmt;
 
 use serde::Serialize;
 
-use fieldbeat_core::bus::BusClock;
-use fieldbeat_core::cycle::Plan;
+use fieldbeat_core::bus::{BusClock, BusFacts};
 use fieldbeat_core::cycle::status::Numbers;
 use fieldbeat_core::time::{Ns, three_digits};
 
@@ -28,18 +27,17 @@ pub struct Bus {
 }
 
 /// The load of each bus, percent.
-pub fn loads(plan: &Plan, numbers: &Numbers) -> Vec<Option<f64>> {
-    let slots_us = (numbers.status.planned * plan.cycle.period_ns) as f64 / 1e3;
+pub fn loads(facts: &[BusFacts], period_ns: u64, numbers: &Numbers) -> Vec<Option<f64>> {
+    let slots_us = (numbers.status.planned * period_ns) as f64 / 1e3;
     let mut drives = numbers.drives.as_slice();
-    let buses = plan.buses.iter().map(|bus| (bus.wire_us(), bus.axes().len()));
-    let load = |(wire_us, count): (Option<usize>, usize)| {
+    let load = |bus: &BusFacts| {
         let own;
-        (own, drives) = drives.split_at(count.min(drives.len()));
-        let wire_us = wire_us.filter(|_| slots_us > 0.0)?;
+        (own, drives) = drives.split_at(bus.drives.len().min(drives.len()));
+        let wire_us = bus.wire_us.filter(|_| slots_us > 0.0)?;
         let all_us: u64 = own.iter().map(|drive| drive.counters.own[wire_us]).sum();
         Some(100.0 * all_us as f64 / slots_us)
     };
-    buses.map(load).collect()
+    facts.iter().map(load).collect()
 }
 
 /// The clock of a bus relative to the grid.

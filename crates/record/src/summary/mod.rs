@@ -23,6 +23,7 @@ pub use self::numbers::plural;
 pub(super) use self::numbers::{decimals, reported};
 use fieldbeat_core::axis::{Fault, Link, StopCause, Units};
 pub use fieldbeat_core::bus::counters::ProtocolCounters;
+use fieldbeat_core::bus::facts::of_drives;
 use fieldbeat_core::cycle::Plan;
 use fieldbeat_core::cycle::record::Stage;
 use fieldbeat_core::cycle::status::{DeviceEnd, Numbers, Status};
@@ -166,65 +167,62 @@ impl Summary {
         steal_ms: Option<u64>,
     ) -> Summary {
         let (status, histograms) = (&numbers.status, &measured.histograms);
-        let of_protocol = plan.own_counters().into_iter().zip(plan.fault_names());
+        let facts = plan.facts();
         let found = found_running(plan, numbers);
-        let drives: Vec<Drive> = (numbers
-            .drives
-            .iter()
-            .zip(&histograms.drives)
-            .zip(plan.monitored())
-            .zip(of_protocol))
-        .zip(found)
-        .zip(plan.units())
-        .map(|(((((drive, measured), monitored), (own, fault_names)), found_running), Units { unit, .. })| {
-            let variable = |(channel, extent): (Option<_>, _)| Some(Variable::of(channel?, extent));
-            let (counters, feedback, peaks) = (&drive.counters, &drive.feedback, &drive.peaks);
-            Drive {
-                name: drive.name.clone(),
-                protocol: drive.protocol,
-                link: feedback.link.to_string(),
-                not_connected: drive.not_connected.clone(),
-                diagnosis: drive.diagnosis.clone(),
-                state: feedback.status.state.to_string(),
-                losses: drive.losses,
-                sent: counters.sent,
-                answered: counters.answered,
-                missed: counters.missed,
-                late: counters.late,
-                duplicate: counters.duplicate,
-                rejected: counters.malformed + counters.foreign,
-                suspect: counters.suspect,
-                implausible: counters.implausible,
-                unsent: counters.unsent,
-                rtt_ns: Quantiles::of(&measured.rtt, peaks.rtt),
-                send_jitter_ns: Quantiles::of(&measured.send_jitter, peaks.send_jitter),
-                age_ns: Quantiles::of(&measured.age, peaks.age),
-                age_cycles: feedback.age,
-                protocol_counters: ProtocolCounters::of(own, counters.own),
-                position: reported(feedback.status.position).filter(|_| feedback.link != Link::Unseen),
-                sto_open: feedback.status.sto_open,
-                stopped: feedback.stopped.map(|cause| cause.to_string()),
-                begun_by: feedback.begun_by.map(|by| BegunBy {
-                    axis: numbers
-                        .drives
-                        .get(usize::from(by.axis))
-                        .map_or_else(String::new, |of| of.name.clone()),
-                    cause: by.cause.to_string(),
-                }),
-                fault: (feedback.status.fault != 0).then_some(feedback.status.fault),
-                fault_name: fault_names(feedback.status.fault).filter(|_| feedback.status.fault != 0),
-                found_running,
-                monitor: (monitored.into_iter().zip(drive.monitor)).filter_map(variable).collect(),
-                at_end: drive.at_end.clone(),
-                left: drive.left(unit),
-            }
-        })
-        .collect();
+        let drives: Vec<Drive> = (numbers.drives.iter().zip(&histograms.drives))
+            .zip(of_drives(&facts))
+            .zip(found)
+            .zip(plan.units())
+            .map(|((((drive, measured), (bus, of)), found_running), Units { unit, .. })| {
+                let (own, fault_names, monitored) = (bus.own_counters, bus.fault_names, of.monitored.clone());
+                let variable = |(channel, extent): (Option<_>, _)| Some(Variable::of(channel?, extent));
+                let (counters, feedback, peaks) = (&drive.counters, &drive.feedback, &drive.peaks);
+                Drive {
+                    name: drive.name.clone(),
+                    protocol: drive.protocol,
+                    link: feedback.link.to_string(),
+                    not_connected: drive.not_connected.clone(),
+                    diagnosis: drive.diagnosis.clone(),
+                    state: feedback.status.state.to_string(),
+                    losses: drive.losses,
+                    sent: counters.sent,
+                    answered: counters.answered,
+                    missed: counters.missed,
+                    late: counters.late,
+                    duplicate: counters.duplicate,
+                    rejected: counters.malformed + counters.foreign,
+                    suspect: counters.suspect,
+                    implausible: counters.implausible,
+                    unsent: counters.unsent,
+                    rtt_ns: Quantiles::of(&measured.rtt, peaks.rtt),
+                    send_jitter_ns: Quantiles::of(&measured.send_jitter, peaks.send_jitter),
+                    age_ns: Quantiles::of(&measured.age, peaks.age),
+                    age_cycles: feedback.age,
+                    protocol_counters: ProtocolCounters::of(own, counters.own),
+                    position: reported(feedback.status.position).filter(|_| feedback.link != Link::Unseen),
+                    sto_open: feedback.status.sto_open,
+                    stopped: feedback.stopped.map(|cause| cause.to_string()),
+                    begun_by: feedback.begun_by.map(|by| BegunBy {
+                        axis: numbers
+                            .drives
+                            .get(usize::from(by.axis))
+                            .map_or_else(String::new, |of| of.name.clone()),
+                        cause: by.cause.to_string(),
+                    }),
+                    fault: (feedback.status.fault != 0).then_some(feedback.status.fault),
+                    fault_name: fault_names(feedback.status.fault).filter(|_| feedback.status.fault != 0),
+                    found_running,
+                    monitor: (monitored.into_iter().zip(drive.monitor)).filter_map(variable).collect(),
+                    at_end: drive.at_end.clone(),
+                    left: drive.left(unit),
+                }
+            })
+            .collect();
         let left_on = drives.iter().filter_map(Drive::left_on).map(Failure::of_run);
         let left_on: Vec<Failure> = left_on.collect();
         let leads = |bus: &str| plan.cycle.reference.as_deref() == Some(bus);
         let clocks = numbers.clocks.iter().copied().chain(std::iter::repeat(None));
-        let buses = (numbers.buses.iter().zip(clocks).zip(loads(plan, numbers)))
+        let buses = (numbers.buses.iter().zip(clocks).zip(loads(&facts, plan.cycle.period_ns, numbers)))
             .map(|(((name, unmatched), clock), load_percent)| Bus {
                 name: name.clone(),
                 unmatched: unmatched.datagrams,

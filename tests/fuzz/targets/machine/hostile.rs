@@ -12,7 +12,7 @@ use fieldbeat::bus::linudp::{ErrorCode, LinUdpPlan, StateVar, StatusWord, WarnWo
 use fieldbeat::sim::SimDrive;
 use fieldbeat::sim::linudp::{LinMotSettings, LinMotSim};
 use fieldbeat::time::Time;
-use fieldbeat_core::bus::Bus;
+use fieldbeat_core::bus::Opened;
 use fieldbeat_core::net::{Carriers, Datagrams, Outbox, Received, Sent, StreamPeer, Streams, UdpOptions};
 use fieldbeat_core::rt::Regions;
 use fieldbeat_linudp::wire::{RESPONSE_MAX, Request, RequestDef, Response, ResponseDef};
@@ -241,7 +241,7 @@ impl HostileBus {
 impl BusPlan for HostileBus {
     crate::forward_bus_plan!(plan);
 
-    fn open(&self, period_ns: u64, carriers: &dyn Carriers) -> Result<Box<dyn Bus>, OpenError> {
+    fn open(&self, period_ns: u64, carriers: &dyn Carriers) -> Result<Opened, OpenError> {
         self.plan.open(period_ns, &Tapped { carriers, wire: Arc::clone(&self.wire) })
     }
 }

@@ -16,7 +16,7 @@ use fieldbeat::sim::ethernet_ip::{MoonsSettings, MoonsSim};
 use fieldbeat::sim::{Carrier, SimDrive, Simulated};
 use fieldbeat_ethernet_ip::wire::io::Packet;
 
-use crate::conformance::line::PERIOD;
+use crate::conformance::line::{GRID, PERIOD};
 use crate::conformance::subject::{Calls, Can, Drive, SOON, Said, Subject};
 
 /// MOONS' drives.
@@ -160,7 +160,7 @@ impl Subject for EthernetIp {
     }
 
     fn calls(&self) -> Calls {
-        let notation = self.plan(&[]).notation();
+        let notation = self.plan(&[]).facts(GRID).notation;
         let call = |call: Result<_, _>| call.unwrap_or_else(|_| unreachable!("the notation has it"));
         Calls {
             // How near counts as in position: of step-servos.

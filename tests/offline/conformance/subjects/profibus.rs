@@ -14,7 +14,7 @@ use fieldbeat_profibus::wire::sap;
 use fieldbeat_profibus::wire::telegram::{Frame, Head, Next, Telegram};
 use fieldbeat_profibus::wire::words::{DrivecomStatus, ProfidriveStatus};
 
-use crate::conformance::line::LATENCY;
+use crate::conformance::line::{GRID, LATENCY};
 use crate::conformance::subject::{Calls, Can, Drive, NoMessage, SOON, Said, Subject};
 
 /// Lenze drives on one wire.
@@ -174,7 +174,7 @@ impl Subject for Profibus {
     }
 
     fn calls(&self) -> Calls {
-        let notation = self.plan(&[]).notation();
+        let notation = self.plan(&[]).facts(GRID).notation;
         let call = |call: Result<_, _>| call.unwrap_or_else(|_| unreachable!("the notation has it"));
         Calls {
             read: call(notation.read("C0012")),

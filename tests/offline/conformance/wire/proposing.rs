@@ -1,16 +1,14 @@
 //! A bus that builds requests which never leave: before each one that does, others, of which nothing may be seen.
 
 use std::os::fd::RawFd;
-use std::sync::Arc;
 
 use fastrand::Rng;
 use fieldbeat::axis::{NativeOwner, Profile};
-use fieldbeat::telemetry::Unmatched;
 use fieldbeat::{Cycle, Time};
-use fieldbeat_core::bus::counters::BusClock;
+use fieldbeat_core::bus::counters::BusNumbers;
 use fieldbeat_core::bus::desired::{Desired, Intent, Mode, Motion, Power};
 use fieldbeat_core::bus::native::{NativeBytes, WantedOutputs};
-use fieldbeat_core::bus::{Bus, Ends, LastResort, Notes, Slot};
+use fieldbeat_core::bus::{Bus, Slot};
 use fieldbeat_core::rt::Regions;
 
 /// Serials that the loop does not come to.
@@ -96,7 +94,6 @@ impl Bus for Proposing {
     }
 
     crate::forward! { this => this.bus;
-        fn name(&self) -> &str;
         fn memory(&self, regions: &mut Regions);
         fn fd(&self) -> Option<RawFd>;
         fn send(&mut self, cycle: &Cycle, slots: &mut [Slot]);
@@ -104,17 +101,12 @@ impl Bus for Proposing {
         fn poll_at(&self) -> Option<Time>;
         fn poll(&mut self, cycle: &Cycle, now: Time, slots: &mut [Slot]);
         fn waited_for(&self, cycle: &Cycle, slots: &[Slot]) -> usize;
-        fn last_resort(&mut self) -> Option<Box<dyn LastResort>>;
         fn shut_down(&mut self, cycle: &Cycle, slots: &mut [Slot]) -> bool;
-        fn unmatched(&self) -> Unmatched;
-        fn ends(&mut self) -> Option<&mut Ends>;
+        fn numbers(&self) -> BusNumbers;
         fn native_bytes(&self, index: usize, since: Time, outputs: WantedOutputs, bytes: &mut NativeBytes)
             -> Option<Time>;
-        fn notes(&self) -> Option<Arc<dyn Notes>>;
         fn helper_ended(&self) -> bool;
-        fn is_one_frame(&self) -> bool;
         fn lead(&mut self);
         fn phase_error(&mut self) -> Option<i64>;
-        fn clock(&self) -> Option<BusClock>;
     }
 }

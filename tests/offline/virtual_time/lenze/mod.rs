@@ -29,7 +29,7 @@ use fieldbeat::sim::profibus::{LenzeSim, Misuse, ProfibusSegment};
 use fieldbeat::sim::{SerialWire, Simulated, WorldOptions};
 use fieldbeat::telemetry::Counters;
 use fieldbeat::{CyclePlan, Master, OpenError, Plan, Simulation};
-use fieldbeat_core::bus::{Bus, Notes};
+use fieldbeat_core::bus::{Notes, Opened};
 use fieldbeat_core::net::Carriers;
 use fieldbeat_profibus::counters::Own;
 
@@ -71,10 +71,10 @@ struct NotedPlan {
 impl BusPlan for NotedPlan {
     crate::forward_bus_plan!(plan);
 
-    fn open(&self, period_ns: u64, carriers: &dyn Carriers) -> Result<Box<dyn Bus>, OpenError> {
-        let bus = self.plan.open(period_ns, carriers)?;
-        *self.notes.lock().unwrap() = bus.notes();
-        Ok(bus)
+    fn open(&self, period_ns: u64, carriers: &dyn Carriers) -> Result<Opened, OpenError> {
+        let opened = self.plan.open(period_ns, carriers)?;
+        *self.notes.lock().unwrap() = opened.notes.clone();
+        Ok(opened)
     }
 }
 

@@ -33,7 +33,7 @@ fn the_record_is_made_anew() {
     std::fs::remove_file(RECORD).unwrap();
     let recorder = Recorder::create(RECORD).and_then(Recorder::with_wire).unwrap();
     let setup = Master::from_file(CONFIGURATION).unwrap().with_recorder(recorder);
-    let drive = setup.plan().buses[0].addresses()[0];
+    let drive = setup.plan().facts()[0].addresses()[0];
     let mut sim = setup.simulate(WorldOptions { wake_ns: 50_000, ..WorldOptions::default() }).unwrap();
     assert!(sim.run_until(100, |sim| sim.feedback(0).link == Link::Online));
     assert_eq!(sim.execute(0, Command::Enable, 100), Ok(Some(Outcome::Done)));

@@ -255,7 +255,7 @@ fn a_group_moves_in_spite_of_a_drive_that_is_found_running_and_not_after_one_was
     assert!(progress.axes.iter().all(|axis| axis.cycles > 0));
     assert!(progress.axes.iter().any(|axis| axis.stops_of_pauses == 1), "the group was stopped");
 
-    let address = test.machine.plan().buses[0].addresses()[1];
+    let address = test.machine.plan().facts()[0].addresses()[1];
     assert!(test.machine.world().unplug(address));
     let lines = test.run(10 * S);
     assert_eq!(lines.len(), 3, "{lines:?}");
@@ -293,7 +293,7 @@ fn axes_that_are_stopped_before_they_move_are_left_as_they_are() {
 fn a_lost_drive_is_an_event_that_fails_by_name_and_the_others_go_on() {
     let mut test = Test::new(&machine(4, ALONE), 60 * S);
     test.run(20 * S);
-    let address = test.machine.plan().buses[0].addresses()[1];
+    let address = test.machine.plan().facts()[0].addresses()[1];
     assert!(test.machine.world().unplug(address));
     let lines = test.run(10 * S);
     assert!(lines == ["axis y: moves no longer: stopped: link lost"], "{lines:?}");
@@ -326,7 +326,7 @@ fn a_velocity_and_a_swing_longer_than_the_test_count_as_moved() {
 fn a_drive_that_never_comes_is_given_up_by_name() {
     let text = machine(8, "[[soak.axis]]\ndrive = \"x\"\nmove = false");
     let mut test = Test::new(&text, 120 * S);
-    let address = test.machine.plan().buses[0].addresses()[1];
+    let address = test.machine.plan().facts()[0].addresses()[1];
     assert!(test.machine.world().unplug(address));
     let lines = test.run(70 * S);
     assert!(matches!(&lines[..], [line] if line.starts_with("axis y: moves no longer: ")), "{lines:?}");
