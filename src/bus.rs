@@ -1,7 +1,7 @@
 //! The buses of a plan: a module for each protocol, with the plan of its buses, its native process data, its services.
 
 #[doc(inline)]
-pub use fieldbeat_core::bus::{BusPlan, Grid, OpenError};
+pub use fieldbeat_core::bus::{BusFacts, BusPlan, DriveFacts, Grid, OpenError, ReplyWithin};
 
 #[cfg(feature = "linudp")]
 pub mod linudp {

@@ -4,7 +4,7 @@ use serde_json::{Value, json};
 
 use super::cycle::{COSTS, MEMORIES, REALTIMES, WAITS};
 use fieldbeat_core::axis::Load;
-use fieldbeat_core::bus::{DriveFacts, Reply};
+use fieldbeat_core::bus::{DriveFacts, ReplyWithin};
 use fieldbeat_core::cycle::bound::{Paced, bound, group, paced_by};
 use fieldbeat_core::cycle::{CyclePlan, Guard, Overrun, Plan};
 use fieldbeat_core::time::nanos;
@@ -105,7 +105,7 @@ fn drive(
     lines: &str,
 ) -> Value {
     let (axis, stop_bound_cycles) = (paced.axis, bound(paced, all));
-    let reply_within_ns = if let Reply::Connection(ns) = facts.reply { Some(ns) } else { None };
+    let reply_within_ns = if let ReplyWithin::Connection(ns) = facts.reply_within { Some(ns) } else { None };
     let (load, held_by) = match axis.load {
         Load::Level => ("level", None),
         Load::Vertical(held_by) => ("vertical", word(&HOLDERS, held_by)),

@@ -14,7 +14,7 @@ use fieldbeat_core::axis::{AxisPlan, FoundRunning, PlanFault};
 use fieldbeat_core::bus::load::{Load, Medium, Way};
 use fieldbeat_core::bus::native::NativeLayout;
 use fieldbeat_core::bus::variant::Variant;
-use fieldbeat_core::bus::{BusFacts, BusPlan, DriveFacts, Grid, OpenError, Opened, Reply, drives};
+use fieldbeat_core::bus::{BusFacts, BusPlan, DriveFacts, Grid, OpenError, Opened, ReplyWithin, drives};
 use fieldbeat_core::net::Carriers;
 
 impl BusPlan for EthernetIpPlan {
@@ -36,7 +36,7 @@ impl BusPlan for EthernetIpPlan {
 
     fn facts(&self, grid: Grid) -> BusFacts {
         let drive = |drive: &MoonsDrive| DriveFacts {
-            reply: Reply::OwnClock(drive.fresh_within_ns(grid.period_ns)),
+            reply_within: ReplyWithin::OwnClock(drive.fresh_within_ns(grid.period_ns)),
             // An idle packet, so that the stop is an edge.
             before_stop: 1,
             watchdog_ns: drive.stops_within_ns(),

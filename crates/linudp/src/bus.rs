@@ -18,7 +18,7 @@ use fieldbeat_core::bus::native::{NativeBytes, NativeLayout, WantedOutputs};
 use fieldbeat_core::bus::variant::Variant;
 use fieldbeat_core::bus::{
     Bus, BusFacts, BusNumbers, BusPlan, Cycle, DriveFacts, Ends, Exchange, Grid, LastResort, Notes,
-    OpenError, Opened, Reply, Slot, Unmatched, drives,
+    OpenError, Opened, ReplyWithin, Slot, Unmatched, drives,
 };
 use fieldbeat_core::errors::no_descriptor;
 use fieldbeat_core::net::{Carriers, Datagrams, Lock, Outbox, Sent, UdpOptions};
@@ -304,7 +304,7 @@ impl BusPlan for LinUdpPlan {
 
     fn facts(&self, _grid: Grid) -> BusFacts {
         let drive = |drive: &LinUdpDrive| DriveFacts {
-            reply: Reply::Cycles(drive.replies_within()),
+            reply_within: ReplyWithin::Cycles(drive.replies_within()),
             monitored: drive.monitor.channels(),
             ..DriveFacts::at(drive.address, profile::capabilities(drive))
         };

@@ -12,7 +12,9 @@ use fieldbeat_core::axis::handle::{URGENT_ROOM, most_unended, room_for_ends};
 use fieldbeat_core::axis::newest;
 use fieldbeat_core::axis::{Axis, AxisEnds, Feedback, Observer, Pulse};
 use fieldbeat_core::bus::diagnosis::Seen;
-use fieldbeat_core::bus::{BusClock, BusFacts, DeviceEnds, LastResort, OpenError, Opened, Reply, Unmatched};
+use fieldbeat_core::bus::{
+    BusClock, BusFacts, DeviceEnds, LastResort, OpenError, Opened, ReplyWithin, Unmatched,
+};
 use fieldbeat_core::cycle::Plan;
 use fieldbeat_core::cycle::bound::{self, Paced};
 use fieldbeat_core::cycle::engine::{AxisEntry, AxisOutlet, Channels, Control, Engine};
@@ -148,8 +150,8 @@ pub fn assemble<C: Clock>(
                 period_ns,
                 first_probe,
                 silence,
-                match drive.reply {
-                    Reply::OwnClock(_) => Probes::AtOwnRate,
+                match drive.reply_within {
+                    ReplyWithin::OwnClock(_) => Probes::AtOwnRate,
                     _ if facts.is_one_frame => Probes::Carried,
                     _ => Probes::Spaced,
                 },
@@ -195,7 +197,8 @@ pub fn assemble<C: Clock>(
             let (notation, period) = (Arc::clone(&facts.notation), Duration::from_nanos(period_ns));
             of_devices.push(Acyclic::new(name, acyclic, notation, observer.on(&wires), period));
         }
-        let is_polled = facts.drives.iter().any(|drive| matches!(drive.reply, Reply::Turn { .. }));
+        let is_polled =
+            facts.drives.iter().any(|drive| matches!(drive.reply_within, ReplyWithin::Turn { .. }));
         let (unmatched_in, unmatched) = cell::cell(Unmatched::default());
         let (clock_in, clock) = cell::cell(None::<BusClock>);
         let BusFacts { devices, own_counters, is_one_frame, .. } = facts;

@@ -21,7 +21,7 @@ use fieldbeat_core::bus::native::{NativeBytes, NativeLayout, WantedOutputs};
 use fieldbeat_core::bus::variant::Variant;
 use fieldbeat_core::bus::{
     Bus, BusFacts, BusNumbers, BusPlan, Cycle, DriveFacts, Ends, Exchange, Grid, Notes, OpenError, Opened,
-    Reply, Slot, drives,
+    ReplyWithin, Slot, drives,
 };
 use fieldbeat_core::net::{Broken, Carriers, LinkNotes, Lock, StreamPeer, Streams};
 use fieldbeat_core::rt::Regions;
@@ -271,7 +271,7 @@ impl BusPlan for ModbusPlan {
 
     fn facts(&self, _grid: Grid) -> BusFacts {
         let drive = |drive: &UnidriveDrive| DriveFacts {
-            reply: Reply::Connection(drive.reply_within_ns),
+            reply_within: ReplyWithin::Connection(drive.reply_within_ns),
             watchdog_ns: drive.watchdog.within_ns(),
             monitored: drive.shown(),
             ..DriveFacts::at(drive.address, profile::capabilities(drive))

@@ -13,7 +13,7 @@ use fieldbeat_core::axis::{AxisPlan, FoundRunning, PlanFault};
 use fieldbeat_core::bus::load::{Load, Medium, Way};
 use fieldbeat_core::bus::native::NativeLayout;
 use fieldbeat_core::bus::variant::Variant;
-use fieldbeat_core::bus::{BusFacts, BusPlan, DriveFacts, Grid, OpenError, Opened, Reply, drives};
+use fieldbeat_core::bus::{BusFacts, BusPlan, DriveFacts, Grid, OpenError, Opened, ReplyWithin, drives};
 use fieldbeat_core::net::Carriers;
 
 impl BusPlan for ProfibusPlan {
@@ -49,7 +49,7 @@ impl BusPlan for ProfibusPlan {
 
     fn facts(&self, grid: Grid) -> BusFacts {
         let drive = |((index, drive), [request_ns, end_ns]): ((usize, &LenzeDrive), [u64; 2])| DriveFacts {
-            reply: Reply::Turn { request_ns, end_ns },
+            reply_within: ReplyWithin::Turn { request_ns, end_ns },
             // A telegram that is repeated stays what it is, and what is new in it would be ignored.
             before_stop: 1,
             watchdog_ns: drive.watchdog_ns(),

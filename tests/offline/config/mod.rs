@@ -16,7 +16,7 @@ use fieldbeat::time::{MS, S, US};
 use fieldbeat::{CyclePlan, Guard, Overrun, Plan, Realtime, Wait};
 use fieldbeat_config::demo::{DEMO_PLACES, DEMO_STREAMS_UP_TO_NS, demo_plan, is_demo};
 use fieldbeat_config::{describe, json};
-use fieldbeat_core::bus::Reply;
+use fieldbeat_core::bus::ReplyWithin;
 use fieldbeat_core::bus::facts::of_drives;
 use fieldbeat_core::cycle::bound::stop_bound;
 use fieldbeat_core::cycle::starvation;
@@ -490,8 +490,8 @@ fn a_sample_with_the_keys_of_the_rules_before_has_the_links_of_before() {
         .replace("# reply_within = 2\n", "reply_within = 1\n");
     for (text, leak, within, bound) in [(sample, 1, 2, 7), (&before, 20, 1, 6)] {
         let plan = read(text);
-        let (health, reply) = (plan.axes()[0].health, plan.facts()[0].drives[0].reply);
-        assert_eq!((health, reply), (Health { leak, ..Health::default() }, Reply::Cycles(within)));
+        let (health, reply) = (plan.axes()[0].health, plan.facts()[0].drives[0].reply_within);
+        assert_eq!((health, reply), (Health { leak, ..Health::default() }, ReplyWithin::Cycles(within)));
         assert_eq!(stop_bound(&plan, 0), bound);
     }
 }

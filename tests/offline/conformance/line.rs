@@ -10,7 +10,7 @@ use fieldbeat::bus::BusPlan;
 use fieldbeat::sim::{FaultPlan, World, WorldOptions};
 use fieldbeat::telemetry::Unmatched;
 use fieldbeat::time::{MS, Time, US};
-use fieldbeat_core::bus::{Bus, DriveFacts, Ends, Exchange, Grid, Opened, Reply, Slot};
+use fieldbeat_core::bus::{Bus, DriveFacts, Ends, Exchange, Grid, Opened, ReplyWithin, Slot};
 use fieldbeat_core::drive::machine::{Machine, NumberedRow};
 use fieldbeat_core::rt::{Clock, PollSet};
 use fieldbeat_sim::world::WorldClock;
@@ -275,8 +275,8 @@ impl Line {
 
     /// How long a packet of its first drive counts, ns; `None`: it has no clock of its own.
     pub fn fresh_within_ns(&self) -> Option<u64> {
-        let reply = self.wire.facts(GRID).drives.first().map(|drive| drive.reply);
-        if let Some(Reply::OwnClock(ns)) = reply { Some(ns) } else { None }
+        let reply = self.wire.facts(GRID).drives.first().map(|drive| drive.reply_within);
+        if let Some(ReplyWithin::OwnClock(ns)) = reply { Some(ns) } else { None }
     }
 
     fn accounts(&self) {

@@ -35,16 +35,16 @@ pub trait LastResort: std::fmt::Debug + Send {
 ///
 /// - **A reply to each request** (LinUDP): [`Owed`](Exchange::Owed) by the deadline of its cycle, or of a later one,
 ///   then [`Answered`](Exchange::Answered) with a round trip. The next request leaves in its turn, whatever is owed:
-///   before that the bus puts an open exchange into [`Slot::earlier`]. `Reply::Cycles`.
+///   before that the bus puts an open exchange into [`Slot::earlier`]. `ReplyWithin::Cycles`.
 /// - **One request outstanding on a connection** (Modbus TCP): owed by a later deadline, and `awaited` in its own
 ///   window if the drive usually answers there. [`Slot::reachable`], [`helper_ended`](Bus::helper_ended),
-///   `Reply::Connection`.
+///   `ReplyWithin::Connection`.
 /// - **One frame for all drives** (EtherCAT): owed, and [`Absent`](Exchange::Absent) if the frame came back without
 ///   this one. [`lead`](Bus::lead), [`phase_error`](Bus::phase_error), the clock of [`numbers`](Bus::numbers), devices.
 /// - **The drive's own clock** (EtherNet/IP class 1): [`OwnClock`](Exchange::OwnClock), which no packet answers; no
-///   round trip, and not suspect. `Reply::OwnClock`.
+///   round trip, and not suspect. `ReplyWithin::OwnClock`.
 /// - **Half duplex** (PROFIBUS DP): [`Queued`](Exchange::Queued) until its turn, then owed, and absent if its reply is
-///   overdue. [`poll_at`](Bus::poll_at), [`poll`](Bus::poll), `Reply::Turn`.
+///   overdue. [`poll_at`](Bus::poll_at), [`poll`](Bus::poll), `ReplyWithin::Turn`.
 pub trait Bus: Send {
     /// Adds the memory that the bus touches on the real-time thread, to be locked with `memory = "own"`.
     fn memory(&self, regions: &mut Regions);
@@ -74,7 +74,7 @@ pub trait Bus: Send {
 
     /// When [`poll`](Bus::poll) is to be called, whatever the descriptor shows: when the reply on a half-duplex wire is
     /// overdue, or its idle time is over. The window stays open for it, up to its deadline. `None`: the descriptor
-    /// shows all that has to be waited for. Queried after other calls only, of a bus whose drives have `Reply::Turn`.
+    /// shows all that has to be waited for. Queried after other calls only, of a bus whose drives have `ReplyWithin::Turn`.
     fn poll_at(&self) -> Option<Time> {
         None
     }
@@ -423,7 +423,7 @@ pub enum Exchange {
     OwnClock {
         /// When it was sent.
         sent_at: Time,
-        /// Until when the newest accepted packet counts: its stamp and `Reply::OwnClock`. `receive` updates
+        /// Until when the newest accepted packet counts: its stamp and `ReplyWithin::OwnClock`. `receive` updates
         /// it. 0 = none was accepted yet.
         fresh_until: Time,
     },

@@ -100,7 +100,7 @@ pub struct DriveFacts {
     #[doc(hidden)]
     pub place_on_wire: usize,
     /// How long its replies count.
-    pub reply: Reply,
+    pub reply_within: ReplyWithin,
     /// So many requests may have to leave before one with a stop can: the command that the stop replaces has to end
     /// first.
     pub before_stop: u32,
@@ -125,7 +125,7 @@ impl DriveFacts {
             address: None,
             place: place.to_string(),
             place_on_wire,
-            reply: Reply::Cycles(1),
+            reply_within: ReplyWithin::Cycles(1),
             before_stop: 0,
             watchdog_ns: None,
             monitored: [const { None }; MONITOR_CHANNELS],
@@ -136,7 +136,7 @@ impl DriveFacts {
 
 /// How long a reply counts, by the kind of wire; [`Bus`](super::Bus) describes them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Reply {
+pub enum ReplyWithin {
     /// For so many cycles, that of the request included. The next request does not wait for it.
     Cycles(u32),
     /// On a connection, for so long, ns. The next request waits for it.

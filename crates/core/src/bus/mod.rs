@@ -34,6 +34,6 @@ pub use self::contract::{Bus, Cycle, Earlier, Exchange, LastResort, MOST_EARLIER
 pub use self::counters::{BusClock, BusNumbers, Counters, OwnCounter, ProtocolCounters, Unmatched};
 pub use self::drives::{DeviceEnds, DriveEnds, Ends};
 pub use self::error::OpenError;
-pub use self::facts::{BusFacts, DriveFacts, Reply};
+pub use self::facts::{BusFacts, DriveFacts, ReplyWithin};
 pub use self::plan::{BusPlan, Grid};
 pub use self::prepared::Prepared;

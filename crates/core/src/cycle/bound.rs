@@ -4,7 +4,7 @@
 use super::plan::{Overrun, Plan};
 use crate::axis::AxisPlan;
 use crate::bus::facts::of_drives;
-use crate::bus::{BusFacts, DriveFacts, Grid, Reply};
+use crate::bus::{BusFacts, DriveFacts, Grid, ReplyWithin};
 
 /// When the exchanges of a drive end, and when the next one can begin.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -36,14 +36,14 @@ impl<'a> Paced<'a> {
     /// Axis `axis`, of whose drive this is known.
     pub fn of(grid: Grid, drive: &DriveFacts, axis: &'a AxisPlan) -> Paced<'a> {
         let period_ns = grid.period_ns.max(1);
-        let pace = match drive.reply {
-            Reply::Cycles(cycles) => Pace::Cycle(u64::from(cycles.saturating_sub(1))),
-            Reply::Connection(ns) => Pace::Connection(grid.cycles_behind(ns)),
-            Reply::Turn { request_ns, end_ns } => {
+        let pace = match drive.reply_within {
+            ReplyWithin::Cycles(cycles) => Pace::Cycle(u64::from(cycles.saturating_sub(1))),
+            ReplyWithin::Connection(ns) => Pace::Connection(grid.cycles_behind(ns)),
+            ReplyWithin::Turn { request_ns, end_ns } => {
                 Pace::HalfDuplex(grid.in_window(request_ns) / period_ns, grid.cycles_behind(end_ns))
             }
             // Its age counts from a packet that may have come in the window, to a later grid point.
-            Reply::OwnClock(ns) => Pace::OwnClock(ns.div_ceil(period_ns)),
+            ReplyWithin::OwnClock(ns) => Pace::OwnClock(ns.div_ceil(period_ns)),
         };
         Paced { axis, pace, before_stop: drive.before_stop }
     }
