@@ -33,7 +33,7 @@ pub mod object;
 pub mod scan;
 pub mod wire;
 
-pub mod bus;
+mod bus;
 #[cfg(feature = "config")]
 pub mod config;
 pub mod diagnosis;

@@ -39,12 +39,6 @@ pub(crate) struct EthernetIpBus {
     _locks: Vec<Lock>,
 }
 
-impl std::fmt::Debug for EthernetIpBus {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("EthernetIpBus").field("drives", &self.stations.len()).finish_non_exhaustive()
-    }
-}
-
 /// Why a drive has no connection: its session, or its TCP connection.
 #[derive(Debug)]
 struct SessionNotes {

@@ -45,14 +45,9 @@ impl BusPlan for EthernetIpPlan {
         };
         let is_cyclic = self.drives.iter().any(|drive| drive.cyclic);
         let around = OUTGOING_MAX - usize::from(OWNER_SIZE) + COUNT;
-        let load = Load {
-            medium: Medium::Datagrams,
-            way: Way::Address(*self.bind.ip()),
-            bytes: [OUTGOING_MAX, around + input_size(Version::V1)],
-            frames: Vec::new(),
-        };
+        let (way, bytes) = (Way::Address(*self.bind.ip()), [OUTGOING_MAX, around + input_size(Version::V1)]);
         BusFacts {
-            load: is_cyclic.then_some(load),
+            load: is_cyclic.then_some(Load::new(Medium::Datagrams, way, bytes)),
             own_counters: &OWN,
             // Of several alarms the one that took the motor's current, as that of the lowest bit.
             fault_names: |word| {

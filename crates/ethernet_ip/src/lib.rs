@@ -19,7 +19,7 @@
 //! What follows is the reference of docs/ for its configuration.
 #![doc = include_str!("../files/configuration-ethernet-ip.md")]
 
-pub mod bus;
+mod bus;
 mod bus_plan;
 mod check;
 #[cfg(feature = "config")]

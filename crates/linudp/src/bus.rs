@@ -34,7 +34,7 @@ const ROOM: usize = if RESPONSE_MAX > 128 { RESPONSE_MAX } else { 128 };
 const MOST_BATCHES: usize = 4;
 
 /// One socket and its drives.
-pub struct LinUdpBus {
+struct LinUdpBus {
     net: Box<dyn Datagrams>,
     outbox: Outbox,
     stations: Vec<Station>,
@@ -46,12 +46,6 @@ pub struct LinUdpBus {
     is_ending: bool,
     /// The drives are this master's until the socket is closed.
     _locks: Vec<Lock>,
-}
-
-impl std::fmt::Debug for LinUdpBus {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("LinUdpBus").field("drives", &self.stations.len()).finish_non_exhaustive()
-    }
 }
 
 impl LinUdpBus {
@@ -309,12 +303,7 @@ impl BusPlan for LinUdpPlan {
             ..DriveFacts::at(drive.address, profile::capabilities(drive))
         };
         BusFacts {
-            load: Some(Load {
-                medium: Medium::Datagrams,
-                way: Way::Address(*self.bind.ip()),
-                bytes: SHORTEST,
-                frames: Vec::new(),
-            }),
+            load: Some(Load::new(Medium::Datagrams, Way::Address(*self.bind.ip()), SHORTEST)),
             own_counters: &OWN,
             fault_names: |code| u16::try_from(code).ok().and_then(|code| ErrorCode(code).name()),
             diagnosis: &DIAGNOSIS,

@@ -27,7 +27,7 @@
 //! What follows is the reference of docs/ for its configuration.
 #![doc = include_str!("../files/configuration-linudp.md")]
 
-pub mod bus;
+mod bus;
 mod channel;
 #[cfg(feature = "config")]
 pub mod config;

@@ -28,17 +28,11 @@ use fieldbeat_core::rt::Regions;
 use fieldbeat_core::time::Time;
 
 /// Connections and their drives.
-pub struct ModbusBus {
+struct ModbusBus {
     net: Box<dyn Streams>,
     stations: Vec<Station>,
     /// The drives are this master's until their connections are given up.
     _locks: Vec<Lock>,
-}
-
-impl std::fmt::Debug for ModbusBus {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("ModbusBus").field("drives", &self.stations.len()).finish_non_exhaustive()
-    }
 }
 
 /// The blocks of a drive at its parameters' own addresses, and those of menu 0 if they are to be used.
@@ -279,7 +273,7 @@ impl BusPlan for ModbusPlan {
         let way = Way::Address(self.bind.unwrap_or(Ipv4Addr::UNSPECIFIED));
         BusFacts {
             // The shortest of FC23 (Modbus Application Protocol V1.1b3, 6.17): a register each way.
-            load: Some(Load { medium: Medium::Streams, way, bytes: [7 + 12, 7 + 4], frames: Vec::new() }),
+            load: Some(Load::new(Medium::Streams, way, [7 + 12, 7 + 4])),
             own_counters: &OWN,
             fault_names: |code| u16::try_from(code).ok().and_then(|code| Trip(code).name()),
             silence_faults: |code| u16::try_from(code).is_ok_and(|code| Trip(code).is_of_silence()),

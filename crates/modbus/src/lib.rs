@@ -30,7 +30,7 @@ pub mod trips;
 pub mod wire;
 pub mod words;
 
-pub mod bus;
+mod bus;
 mod calls;
 mod check;
 #[cfg(feature = "config")]

@@ -63,12 +63,6 @@ pub(super) struct ProfibusBus {
     _lock: Lock,
 }
 
-impl std::fmt::Debug for ProfibusBus {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("ProfibusBus").field("drives", &self.stations.len()).finish_non_exhaustive()
-    }
-}
-
 impl ProfibusBus {
     /// Begins to open the port of `plan`, which is free of faults.
     pub(super) fn open(plan: &ProfibusPlan, carriers: &dyn Carriers) -> Result<Opened, OpenError> {

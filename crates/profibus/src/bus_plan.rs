@@ -59,12 +59,7 @@ impl BusPlan for ProfibusPlan {
         let drives = self.drives.iter().enumerate().zip(self.turns(grid)).map(drive);
         BusFacts {
             // What the wire takes is laid on the grid: `turn_faults`.
-            load: Some(Load {
-                medium: Medium::Serial,
-                way: Way::Port(self.device.clone()),
-                bytes: [0; 2],
-                frames: Vec::new(),
-            }),
+            load: Some(Load::new(Medium::Serial, Way::Port(self.device.clone()), [0; 2])),
             own_counters: &OWN,
             wire_us: Some(Own::WireUs as usize),
             diagnosis: &DIAGNOSIS,

@@ -38,3 +38,10 @@ pub struct Load {
     /// Of [`Medium::Frames`]: the frames of a cycle, bytes from the address to the last one before the checksum.
     pub frames: Vec<usize>,
 }
+
+impl Load {
+    /// Exchanges by `way` with at least so many bytes each way, and no frames for several drives.
+    pub fn new(medium: Medium, way: Way, bytes: [usize; 2]) -> Load {
+        Load { medium, way, bytes, frames: Vec::new() }
+    }
+}

@@ -52,7 +52,7 @@ const DEVICE_CALLS: usize = 64;
 const SILENT: u8 = 100;
 
 /// A segment of drives and devices.
-pub struct EthercatBus {
+struct EthercatBus {
     net: Box<dyn Frames>,
     source: [u8; 6],
     image: Image,
@@ -80,12 +80,6 @@ pub struct EthercatBus {
     other: OtherMaster,
     /// The segment is this master's until its socket is closed.
     _lock: Lock,
-}
-
-impl std::fmt::Debug for EthercatBus {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("EthercatBus").field("segment", &self.segment).finish_non_exhaustive()
-    }
 }
 
 impl EthercatBus {

@@ -93,10 +93,8 @@ impl BusPlan for EthercatPlan {
         let slaves = self.slaves();
         let has_clock = slaves.iter().any(|(_, slave)| slave.sync);
         let load = Image::new(&slaves, 0, [0; 6], has_clock, self.lrw).map(|(image, _)| Load {
-            medium: Medium::Frames,
-            way: Way::Interface(self.interface.clone()),
-            bytes: [0; 2],
             frames: image.frames().iter().map(|frame| frame.bytes().len()).collect(),
+            ..Load::new(Medium::Frames, Way::Interface(self.interface.clone()), [0; 2])
         });
         BusFacts {
             devices: self.devices.iter().map(|device| device.name.clone()).collect(),
