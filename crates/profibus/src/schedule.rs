@@ -182,8 +182,8 @@ impl ProfibusPlan {
         grid.in_window(free).saturating_add(self.control_ns())
     }
 
-    /// From a slot to the end of these turns with all repetitions, one of them acyclic; and the same with Global_Control
-    /// before one of them, wherever that takes longest.
+    /// From a slot to the end of these turns with all repetitions, one of them acyclic; and the same with
+    /// Global_Control before one of them, wherever that takes longest.
     fn all_tries(&self, turns: &[Tries], grid: Grid) -> (u64, u64) {
         let mut turns = turns.to_vec();
         if let Some(longest) = turns.iter_mut().max_by_key(|tries| tries.acyclic_more_ns) {

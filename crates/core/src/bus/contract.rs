@@ -74,7 +74,8 @@ pub trait Bus: Send {
 
     /// When [`poll`](Bus::poll) is to be called, whatever the descriptor shows: when the reply on a half-duplex wire is
     /// overdue, or its idle time is over. The window stays open for it, up to its deadline. `None`: the descriptor
-    /// shows all that has to be waited for. Queried after other calls only, of a bus whose drives have `ReplyWithin::Turn`.
+    /// shows all that has to be waited for. Queried after other calls only, of a bus whose drives have
+    /// `ReplyWithin::Turn`.
     fn poll_at(&self) -> Option<Time> {
         None
     }
