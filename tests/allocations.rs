@@ -11,7 +11,7 @@ use std::time::Duration;
 
 use fieldbeat::axis::{CallTicket, Command, CommandId, EventKind, Jog, Link, StopCause};
 use fieldbeat::bus::BusPlan;
-use fieldbeat::bus::ethercat::{EthercatPlan, Family, KollmorgenDrive, Object, Type, Watchdog};
+use fieldbeat::bus::ethercat::{Entry, EthercatPlan, Family, KollmorgenDrive, Object, Type, Watchdog};
 use fieldbeat::bus::ethernet_ip::{EthernetIpPlan, IO_PORT, MoonsDrive};
 use fieldbeat::bus::profibus::{LenzeDrive, Numbers, ParameterPath, ProfibusPlan};
 use fieldbeat::sim::ethercat::EthercatSim;
@@ -381,7 +381,7 @@ fn a_line_allocates_nothing_from_its_bring_up_to_its_end() {
         drive.axis.profile.velocity = 10.0;
         drive.axis.stop.deceleration = 200.0;
         drive.axis.enable_timeout = Duration::from_secs(3);
-        drive.show[0] = Some((Object::new(0x6077, 0), Type::I16));
+        drive.show[0] = Some(Entry { object: Object::new(0x6077, 0), kind: Type::I16 });
         drive
     };
     let line = EthercatPlan::new(LINE, (0..3).map(drive).collect());

@@ -16,7 +16,7 @@ pub use slave::FIRST_STATION;
 pub use slave::{Area, Expected, MOST_AREAS, SlavePlan, Start, Watchdog};
 
 use super::mode::Mode;
-use super::object::pdo::{self, Layout};
+use super::object::pdo::{self, Entry, Layout};
 use super::object::{Family, Object, Type};
 use fieldbeat_core::axis::feedback::MONITOR_CHANNELS;
 use fieldbeat_core::axis::is_plain_name;
@@ -73,7 +73,7 @@ pub struct KollmorgenDrive {
     /// 1002h says so; without that object, if this master saw its homing attained.
     pub absolute: bool,
     /// Objects that it shows besides, read by its mailbox in turns: plain counts, of the unit that is known of each.
-    pub show: [Option<(Object, Type)>; MONITOR_CHANNELS],
+    pub show: [Option<Entry>; MONITOR_CHANNELS],
 }
 
 /// Where the PDOs of a drive come from.
@@ -347,7 +347,7 @@ impl KollmorgenDrive {
     /// What it shows besides, for people.
     pub(super) fn shown(&self) -> [Option<MonitorChannel>; MONITOR_CHANNELS] {
         self.show.map(|shown| {
-            let (object, _) = shown?;
+            let object = shown?.object;
             Some(match object.known() {
                 Some(known) => MonitorChannel { name: known.name.to_owned(), unit: known.unit },
                 None => MonitorChannel { name: format!("{:#06x}:{}", object.index, object.sub), unit: "" },

@@ -11,7 +11,7 @@ use fieldbeat::axis::Link;
 use fieldbeat::bus::ethercat::{Area, Object, SlavePlan};
 use fieldbeat::time::{MS, Time};
 use fieldbeat_core::bus::Counters;
-use fieldbeat_ethercat::service::{Service, Transfer};
+use fieldbeat_ethercat::service::Service;
 use fieldbeat_ethercat::slot::{Answer, Ask};
 use fieldbeat_ethercat::wire::frame::Command;
 
@@ -259,16 +259,16 @@ fn begin(service: &mut Service, slave: &Slave, input: &mut Input<'_>) -> Begun {
     let object = Object::new(index, 0);
     match input.below(3) {
         0 => {
-            service.begin(Transfer::Read(object));
+            service.read(object);
             Begun::Read(index)
         }
         1 => {
-            service.begin(Transfer::Write { object, raw: slave.transfer.into(), bytes: 2 });
+            service.write(object, &[slave.transfer, 0]);
             Begun::Write(vec![slave.transfer, 0])
         }
         _ => {
             let bytes = vec![slave.transfer; 5 + input.below(100)];
-            service.begin_long(object, &bytes);
+            service.write(object, &bytes);
             Begun::Write(bytes)
         }
     }

@@ -133,7 +133,7 @@ fn objects(value: &DeValue<'_>) -> Result<Vec<Entry>, String> {
 }
 
 /// `false`, or objects that are shown besides.
-pub(super) fn shown<const N: usize>(value: &DeValue<'_>) -> Result<[Option<(Object, Type)>; N], String> {
+pub(super) fn shown<const N: usize>(value: &DeValue<'_>) -> Result<[Option<Entry>; N], String> {
     let mut shown = [None; N];
     if value.as_bool() == Some(false) {
         return Ok(shown);
@@ -142,8 +142,7 @@ pub(super) fn shown<const N: usize>(value: &DeValue<'_>) -> Result<[Option<(Obje
     let array = array
         .ok_or_else(|| format!("must be false, or up to {N} objects like [\"torque\", \"0x6061:0\"]"))?;
     for (place, value) in shown.iter_mut().zip(array) {
-        let entry = object(value.get_ref())?;
-        *place = Some((entry.object, entry.kind));
+        *place = Some(object(value.get_ref())?);
     }
     Ok(shown)
 }

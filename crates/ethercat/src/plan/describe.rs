@@ -124,12 +124,7 @@ impl KollmorgenDrive {
                 .push("has its reference without a homing: its encoder is absolute (absolute = true)".into());
         }
         lines.push(self.describe_sync(period_ns, ahead_ns));
-        let shown: Vec<String> = self
-            .show
-            .iter()
-            .flatten()
-            .map(|(object, kind)| entry(Entry { object: *object, kind: *kind }))
-            .collect();
+        let shown: Vec<String> = self.show.into_iter().flatten().map(entry).collect();
         if !shown.is_empty() {
             lines.push(format!("shows {}, read through its mailbox in turn", shown.join(", ")));
         }

@@ -9,7 +9,7 @@ use super::{
 use crate::TERMINAL_MAX;
 use crate::mode::Mode;
 use crate::object::number::{CONTROL_WORD, MODE, STATUS_WORD};
-use crate::object::pdo::{Entry, Layout};
+use crate::object::pdo::Entry;
 use crate::object::{Family, Object, Type};
 use crate::outputs::{Unowned, source};
 use crate::start_up::cycle_time;
@@ -291,7 +291,7 @@ impl KollmorgenDrive {
                     .into(),
             );
         }
-        for (object, _) in self.show.iter().flatten().filter(|(_, kind)| kind.is_string()) {
+        for Entry { object, .. } in self.show.iter().flatten().filter(|entry| entry.kind.is_string()) {
             wrong("monitor", format!("{object} is a text; monitor objects with numbers"));
         }
         faults
@@ -312,7 +312,7 @@ impl KollmorgenDrive {
             }
             if layout.place(word).is_none() {
                 wrong(key, format!("has no {name}; map {word}"));
-            } else if !has(layout, word, Type::U16) {
+            } else if !layout.entries.contains(&Entry { object: word, kind: Type::U16 }) {
                 wrong(key, format!("has a {name} of another type; write {word}.u16"));
             }
             if let Some(entry) = layout.entries.iter().find(|entry| entry.kind.is_string()) {
@@ -346,7 +346,7 @@ impl KollmorgenDrive {
             );
         }
         if let Some((object, kind)) = self.setpoint().map(Setpoint::shape)
-            && !has(&self.outputs, object, kind)
+            && !self.outputs.entries.contains(&Entry { object, kind })
         {
             wrong("pdo.outputs", format!("has a setpoint of another type; write {object}.{}", kind.name()));
         }
@@ -496,11 +496,6 @@ impl KollmorgenDrive {
             )
         })
     }
-}
-
-/// Whether this object is in it as this type.
-fn has(layout: &Layout, object: Object, kind: Type) -> bool {
-    layout.entries.iter().any(|entry| entry.object == object && entry.kind == kind)
 }
 
 impl Device {

@@ -1,42 +1,15 @@
 //! The transfer under way: its owner, its time limits, and how it ends.
 
-use super::sdo::{Failure, Sdo};
+use super::sdo::{End, Failure, Sdo};
 use crate::object::{self, Type, long};
-use crate::wire::sdo::{AbortCode, Object};
-use fieldbeat_core::axis::acyclic::{CallError, Posted};
+use crate::wire::sdo::AbortCode;
+use fieldbeat_core::axis::acyclic::Posted;
 use fieldbeat_core::time::Time;
 
 /// The most times that an SDO is sent.
 pub const ATTEMPTS: u8 = 3;
 /// The same of one that nobody waits for: others wait behind it.
 const PROBES: u8 = 2;
-
-/// An SDO of the master itself, of eight bytes at most.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Transfer {
-    /// Reads an object: its bits, of a longer one the first four bytes.
-    Read(Object),
-    /// Writes the lowest `bytes` bytes of `raw`.
-    Write {
-        /// The object.
-        object: Object,
-        /// Its value.
-        raw: u64,
-        /// Its size.
-        bytes: u8,
-    },
-}
-
-/// Why an SDO failed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum SdoFailure {
-    /// The slave refused.
-    Abort(AbortCode),
-    /// What it answered cannot be used, or it does not empty its mailbox: one of the statuses of the master.
-    Unusable(u32),
-    /// It did not answer, or the mailbox was closed.
-    Silent,
-}
 
 /// The transfer under way.
 #[derive(Clone, Copy, Debug)]
@@ -109,17 +82,6 @@ pub enum By {
     Nobody,
 }
 
-/// How a transfer ends.
-#[derive(Clone, Copy, Debug)]
-pub enum End {
-    /// It was carried out.
-    Done,
-    /// The slave refused it, or did not answer.
-    Failed(Failure),
-    /// It was not carried on.
-    GivenUp(CallError),
-}
-
 /// A value of `size` bytes as the bits of its type, which may be longer.
 pub fn bits(kind: Option<Type>, size: usize, data: &[u8]) -> u64 {
     let raw = long::raw(data.get(..size).unwrap_or(data));
@@ -135,10 +97,10 @@ pub fn bits(kind: Option<Type>, size: usize, data: &[u8]) -> u64 {
 /// The abort to a slave in the middle of a transfer that ends: it would wait for the next segment.
 pub fn farewell(sdo: &Sdo, end: End) -> Option<AbortCode> {
     let code = match end {
-        End::Failed(Failure::Unusable(object::TOGGLE)) => AbortCode::TOGGLE,
-        End::Failed(Failure::Unusable(_)) => AbortCode::GENERAL,
-        End::GivenUp(_) => AbortCode::TIMED_OUT,
-        End::Done | End::Failed(Failure::Abort(_)) => return None,
+        Err(Failure::Unusable(object::TOGGLE)) => AbortCode::TOGGLE,
+        Err(Failure::Unusable(_)) => AbortCode::GENERAL,
+        Err(Failure::GivenUp(_)) => AbortCode::TIMED_OUT,
+        Ok(()) | Err(Failure::Abort(_)) => return None,
     };
     sdo.is_begun().then_some(code)
 }

@@ -28,11 +28,11 @@ pub mod mailbox;
 pub mod sdo;
 
 pub(super) use self::active::ATTEMPTS;
-use self::active::{Active, By, End, bits, farewell};
-pub use self::active::{SdoFailure, Transfer};
+use self::active::{Active, By, bits, farewell};
 use self::emergencies::Emergencies;
 use self::mailbox::{Mailbox, Post, Received};
-use self::sdo::{Failure, Sdo, Step};
+pub use self::sdo::Failure;
+use self::sdo::{End, Sdo, unusable};
 use super::counters::Own;
 use super::object::number::DEVICE_TYPE;
 use super::object::{self, Target, long};
@@ -59,7 +59,7 @@ pub struct Service {
     open: bool,
     /// A transfer of the master that was not started yet, and how the last one ended.
     waiting: Option<Sdo>,
-    end: Option<Result<u32, SdoFailure>>,
+    end: Option<Result<u32, Failure>>,
     active: Option<Active>,
     kept: Kept,
     /// What a series of calls has handed over so far, to be written.
@@ -125,9 +125,9 @@ impl Service {
             self.lost += self.emergencies.count as u64;
             self.emergencies = Emergencies::default();
         } else {
-            self.finish(End::GivenUp(CallError::Restarted));
+            self.finish(Err(Failure::GivenUp(CallError::Restarted)));
             if self.waiting.take().is_some() {
-                self.end = Some(Err(SdoFailure::Silent));
+                self.end = Some(Err(Failure::GivenUp(CallError::Restarted)));
             }
         }
         if let Some(mailbox) = &mut self.mailbox {
@@ -142,34 +142,28 @@ impl Service {
         self.end.is_none() && self.waiting.is_none() && !is_active
     }
 
-    /// Begins a transfer of the master; it precedes those of the application.
-    pub fn begin(&mut self, transfer: Transfer) {
-        self.wait(match transfer {
-            Transfer::Read(object) => Sdo::read(object, false),
-            Transfer::Write { object, raw, bytes } => {
-                let value = raw.to_le_bytes();
-                Sdo::write(object, value.get(..bytes.into()).unwrap_or(&value))
-            }
-        });
+    /// Begins to read an object for the master, which precedes the application. Of a value the first four bytes count.
+    pub fn read(&mut self, object: Object) {
+        self.wait(Sdo::read(object, false));
     }
 
-    /// The same: writes a value of any length, at most 128 bytes.
-    pub fn begin_long(&mut self, object: Object, value: &[u8]) {
+    /// The same: writes a value of 1 ... 128 bytes.
+    pub fn write(&mut self, object: Object, value: &[u8]) {
         self.wait(Sdo::write(object, value));
     }
 
     fn wait(&mut self, sdo: Sdo) {
         match &self.mailbox {
             Some(mailbox) if self.open && !mailbox.takes(&sdo) => {
-                self.end = Some(Err(SdoFailure::Unusable(object::EXPEDITED)));
+                self.end = Some(Err(Failure::Unusable(object::EXPEDITED)));
             }
             Some(_) if self.open => self.waiting = Some(sdo),
-            _ => self.end = Some(Err(SdoFailure::Silent)),
+            _ => self.end = Some(Err(Failure::GivenUp(CallError::NotOnline))),
         }
     }
 
     /// How the transfer of the master ended, once. Of a write `Ok` returns the written value, its first four bytes.
-    pub fn take_end(&mut self) -> Option<Result<u32, SdoFailure>> {
+    pub fn take_end(&mut self) -> Option<Result<u32, Failure>> {
         self.end.take()
     }
 
@@ -231,7 +225,7 @@ impl Service {
             };
             if let Some(why) = why {
                 self.silent += u64::from(why == CallError::TimedOut);
-                self.finish(End::GivenUp(why));
+                self.finish(Err(Failure::GivenUp(why)));
             } else if is_late {
                 self.repeat(now);
             }
@@ -308,7 +302,7 @@ impl Service {
         let awaits = self.mailbox.as_ref().is_some_and(Mailbox::awaits);
         let is_write = matches!(&self.active, Some(Active { by: By::Call(..), sdo, .. }) if sdo.writes());
         if awaits && is_write {
-            self.finish(End::GivenUp(CallError::Refused(object::UNCERTAIN)));
+            self.finish(Err(Failure::GivenUp(CallError::Refused(object::UNCERTAIN))));
         } else {
             self.repeat(now);
         }
@@ -353,7 +347,7 @@ impl Service {
             None | Some(Received::Nothing) => {}
             Some(Received::Full) => {
                 counters.own[Own::MailboxSilent as usize] += u64::from(self.active.is_some());
-                self.finish(End::Failed(Failure::Unusable(object::FULL)));
+                self.finish(Err(Failure::Unusable(object::FULL)));
             }
             Some(Received::Gone) => self.answer_lost(now),
             Some(Received::Message) => self.take(now, counters),
@@ -365,8 +359,7 @@ impl Service {
         let Some(mailbox) = &mut self.mailbox else { return };
         let active = self.active.as_mut().filter(|_| mailbox.awaits());
         let (message, counts) = mailbox.received();
-        let failed = |status| Some(Step::Failed(Failure::Unusable(status)));
-        let step = match (parse(message), active) {
+        let end = match (parse(message), active) {
             (Some(Message::Emergency(emergency)), _) => {
                 Own::Emergencies.count(counters);
                 if !self.emergencies.push(emergency) {
@@ -377,14 +370,14 @@ impl Service {
             (Some(Message::Sdo { counter, response }), Some(active))
                 if active.sdo.is_answered_by(&response) && counts.may_answer(counter) =>
             {
-                Some(active.sdo.take(&response))
+                active.sdo.take(&response)
             }
             (Some(Message::Refused(error)), Some(active))
                 if !active.is_nobodys() && counts.may_answer(counter(message)) =>
             {
-                failed(object::MAILBOX + u32::from(error.0))
+                unusable(object::MAILBOX + u32::from(error.0))
             }
-            (Some(_), _) => None,
+            (Some(_), _) => return Own::MailboxStrays.count(counters),
             (None, active) => {
                 Own::MailboxBroken.count(counters);
                 // Whatever else cannot be read is not its answer.
@@ -392,54 +385,39 @@ impl Service {
                 if !is_its || !counts.may_answer(counter(message)) {
                     return;
                 }
-                failed(object::BROKEN)
+                unusable(object::BROKEN)
             }
         };
-        match step {
-            None => Own::MailboxStrays.count(counters),
-            Some(Step::Next) => {
-                mailbox.answered();
-                if let Some(active) = &mut self.active {
-                    active.since = now;
-                }
-                self.post(Post::First);
+        let Some(end) = end else {
+            mailbox.answered();
+            if let Some(active) = &mut self.active {
+                active.since = now;
             }
-            Some(Step::Done) => self.finish(End::Done),
-            Some(Step::Failed(failure)) => {
-                if matches!(failure, Failure::Abort(_)) {
-                    Own::Aborts.count(counters);
-                }
-                self.finish(End::Failed(failure));
-            }
+            return self.post(Post::First);
+        };
+        if matches!(end, Err(Failure::Abort(_))) {
+            Own::Aborts.count(counters);
         }
+        self.finish(end);
     }
 
     /// Ends the transfer that is under way.
     fn finish(&mut self, end: End) {
+        const TIMED_OUT: Failure = Failure::GivenUp(CallError::TimedOut);
         let Some(active) = self.active.take() else { return };
-        self.unsettled = match end {
-            // It answers in the order of its requests.
-            End::Done | End::Failed(Failure::Abort(_)) => false,
-            End::Failed(Failure::Unusable(_)) | End::GivenUp(_) => {
-                self.unsettled || active.gone_out && self.is_commanding(&active)
-            }
-        };
+        let is_answered = matches!(end, Ok(()) | Err(Failure::Abort(_)));
+        // It answers in the order of its requests.
+        self.unsettled = !is_answered && (self.unsettled || active.gone_out && self.is_commanding(&active));
         if let Some(mailbox) = &mut self.mailbox {
-            let is_answered = matches!(end, End::Done | End::Failed(Failure::Abort(_)));
             self.suspect = match active.by {
                 // After its answer nothing of before comes.
                 By::Nobody => self.suspect && !is_answered,
-                _ => {
-                    if is_answered {
-                        mailbox.is_twice()
-                    } else {
-                        active.gone_out
-                    }
-                }
+                _ if is_answered => mailbox.is_twice(),
+                _ => active.gone_out,
             };
             match end {
-                End::GivenUp(_) => mailbox.abandon(),
-                End::Done | End::Failed(_) => mailbox.answered(),
+                Err(Failure::GivenUp(_)) => mailbox.abandon(),
+                _ => mailbox.answered(),
             }
             if let Some(code) = farewell(&active.sdo, end) {
                 let object = active.sdo.object();
@@ -448,47 +426,34 @@ impl Service {
         }
         let (size, data) = active.sdo.value();
         match active.by {
-            By::Master => {
-                self.end = Some(match end {
-                    End::Done => Ok(long::raw(data) as u32),
-                    End::Failed(Failure::Abort(code)) => Err(SdoFailure::Abort(code)),
-                    End::Failed(Failure::Unusable(status)) => Err(SdoFailure::Unusable(status)),
-                    End::GivenUp(_) => Err(SdoFailure::Silent),
-                });
-            }
+            By::Master => self.end = Some(end.map(|()| long::raw(data) as u32)),
             By::Call(posted, kind) => {
                 let Call { service, address, value } = posted.call;
                 let reads = service == object::READ;
-                if reads && matches!(end, End::Done) {
+                if reads && end.is_ok() {
                     self.kept = Kept::of_read(&posted, size, data);
                 }
                 let value = if reads { bits(kind, size, data) } else { value };
+                let result = end.map(|()| Answer { status: 0, address, value });
                 self.end_call(
                     &posted,
-                    match end {
-                        End::Done => Ok(Answer { status: 0, address, value }),
-                        End::Failed(Failure::Abort(AbortCode(status)) | Failure::Unusable(status)) => {
-                            Err(CallError::Refused(status))
+                    result.map_err(|failure| match failure {
+                        Failure::Abort(AbortCode(status)) | Failure::Unusable(status) => {
+                            CallError::Refused(status)
                         }
-                        End::GivenUp(why) => Err(why),
-                    },
+                        Failure::GivenUp(why) => why,
+                    }),
                 );
             }
-            By::Nobody
-                if matches!(end, End::GivenUp(CallError::TimedOut) | End::Failed(Failure::Unusable(_))) =>
-            {
-                self.fail_next();
+            // A slave that has not answered this one would not answer the next one.
+            By::Nobody if matches!(end, Err(TIMED_OUT | Failure::Unusable(_))) => {
+                if self.waiting.take().is_some() {
+                    self.end = Some(Err(TIMED_OUT));
+                } else if let Some(posted) = self.port.as_mut().and_then(Port::take) {
+                    self.end_call(&posted, Err(CallError::TimedOut));
+                }
             }
             By::Nobody => {}
-        }
-    }
-
-    /// A slave that has not answered the one before would not answer the next one.
-    fn fail_next(&mut self) {
-        if self.waiting.take().is_some() {
-            self.end = Some(Err(SdoFailure::Silent));
-        } else if let Some(posted) = self.port.as_mut().and_then(Port::take) {
-            self.end_call(&posted, Err(CallError::TimedOut));
         }
     }
 

@@ -6,6 +6,7 @@ use super::super::object::long::MOST as MOST_BYTES;
 use super::super::object::{ENDLESS, TOGGLE, TRUNCATED};
 use super::super::wire::mailbox::COE_HEADER;
 use super::super::wire::sdo::{AbortCode, EXPEDITED_MAX, Object, Request, Response, SEGMENT_HEADER, SIZE};
+use fieldbeat_core::axis::acyclic::CallError;
 
 /// The bytes of an object that are kept; the rest is read and counted. The most that are written.
 pub const KEPT: usize = MOST_BYTES;
@@ -34,19 +35,18 @@ pub struct Sdo {
 pub enum Failure {
     /// The slave refused.
     Abort(AbortCode),
-    /// Its answer cannot be used; a status of our own.
+    /// What it answered cannot be used, or it does not empty its mailbox: one of the statuses of the master.
     Unusable(u32),
+    /// It was not carried on, since the slave did not answer, or the mailbox was closed.
+    GivenUp(CallError),
 }
 
-/// The effect of an answer on a transfer.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Step {
-    /// The next request is due.
-    Next,
-    /// It is done.
-    Done,
-    /// It failed.
-    Failed(Failure),
+/// How a transfer ends.
+pub type End = Result<(), Failure>;
+
+/// Its answer cannot be used, with this status of the master.
+pub(super) fn unusable(status: u32) -> Option<End> {
+    Some(Err(Failure::Unusable(status)))
 }
 
 impl Sdo {
@@ -145,13 +145,13 @@ impl Sdo {
         }
     }
 
-    /// Takes an answer to the present request.
-    pub(super) fn take(&mut self, response: &Response<'_>) -> Step {
+    /// Takes an answer to the present request. `None`: the next request is due.
+    pub(super) fn take(&mut self, response: &Response<'_>) -> Option<End> {
         match *response {
-            Response::Abort { code, .. } => Step::Failed(Failure::Abort(code)),
+            Response::Abort { code, .. } => Some(Err(Failure::Abort(code))),
             Response::Value { data, .. } => {
                 self.put(data);
-                Step::Done
+                Some(Ok(()))
             }
             Response::Begun { size, data, .. } => {
                 self.size = size.map(|size| size as usize);
@@ -160,8 +160,8 @@ impl Sdo {
                 self.segments = true;
                 match self.size {
                     Some(size) if size <= self.passed => self.done(),
-                    Some(size) if size > MOST => Step::Failed(Failure::Unusable(ENDLESS)),
-                    _ => Step::Next,
+                    Some(size) if size > MOST => unusable(ENDLESS),
+                    _ => None,
                 }
             }
             Response::Segment { toggle, last, data } => self.segment(toggle, last, data),
@@ -169,9 +169,7 @@ impl Sdo {
                 self.segments = true;
                 self.gone()
             }
-            Response::SegmentTaken { toggle } if toggle != self.toggle => {
-                Step::Failed(Failure::Unusable(TOGGLE))
-            }
+            Response::SegmentTaken { toggle } if toggle != self.toggle => unusable(TOGGLE),
             Response::SegmentTaken { toggle } => {
                 self.toggle = !toggle;
                 self.gone()
@@ -179,38 +177,38 @@ impl Sdo {
         }
     }
 
-    fn segment(&mut self, toggle: bool, last: bool, data: &[u8]) -> Step {
+    fn segment(&mut self, toggle: bool, last: bool, data: &[u8]) -> Option<End> {
         if toggle != self.toggle {
-            return Step::Failed(Failure::Unusable(TOGGLE));
+            return unusable(TOGGLE);
         }
         self.toggle = !toggle;
         self.put(data);
         let most = self.size.unwrap_or(MOST);
         match last {
-            _ if self.passed > most => Step::Failed(Failure::Unusable(ENDLESS)),
+            _ if self.passed > most => unusable(ENDLESS),
             true if self.size.is_some_and(|size| self.passed < size) => {
                 self.segments = false;
-                Step::Failed(Failure::Unusable(TRUNCATED))
+                unusable(TRUNCATED)
             }
             true => self.done(),
             // Empty ones could come for ever.
-            false if data.is_empty() => Step::Failed(Failure::Unusable(ENDLESS)),
-            false => Step::Next,
+            false if data.is_empty() => unusable(ENDLESS),
+            false => None,
         }
     }
 
     /// The sent part has arrived.
-    fn gone(&mut self) -> Step {
+    fn gone(&mut self) -> Option<End> {
         self.passed += std::mem::take(&mut self.going);
         match self.size {
-            Some(size) if self.passed < size => Step::Next,
+            Some(size) if self.passed < size => None,
             _ => self.done(),
         }
     }
 
-    fn done(&mut self) -> Step {
+    fn done(&mut self) -> Option<End> {
         self.segments = false;
-        Step::Done
+        Some(Ok(()))
     }
 
     /// Keeps as much as there is room for, and counts all.

@@ -27,7 +27,7 @@ use fieldbeat_core::axis::acyclic::{self, AcyclicEnds};
 use fieldbeat_core::axis::units::Unwrap;
 use fieldbeat_core::axis::{self, State, Units};
 use fieldbeat_core::bus::cia402::StatusWord;
-use fieldbeat_core::bus::desired::Homing;
+use fieldbeat_core::bus::desired::{Homing, Reference};
 use fieldbeat_core::bus::{Exchange, Slot};
 use fieldbeat_core::inputs::InputLog;
 use fieldbeat_core::rt::Regions;
@@ -363,11 +363,11 @@ impl Station {
         if let Some(homing) = self.profile.homing_sent(evidence.homing) {
             self.requests.attained = homing == Homing::Attained;
         }
-        evidence.reference = self.requests.reference();
+        evidence.reference = self.requests.reference;
         // Its own mode may have come back with this report.
         let homing = self.profile.is_homing();
         report.sto_open = !inputs.is_powered && self.profile.is_sto_open();
-        report.homed = !homing && self.requests.homed == Some(true);
+        report.homed = !homing && self.requests.reference == Some(Reference::Set);
         report.warning =
             if status.has(StatusWord::WARNING) { u32::from(self.seen.warning.max(1)) } else { 0 };
         report.fault = u32::from(inputs.fault);

@@ -5,9 +5,9 @@
 
 use crate::mode::Mode;
 use crate::object::number::{HOMING_METHOD, MANUFACTURER_STATUS, MODE, MODE_DISPLAY};
-use crate::object::{Object, Type};
+use crate::object::pdo::Entry;
 use crate::plan::KollmorgenDrive;
-use crate::service::{SdoFailure, Service, Transfer};
+use crate::service::{Failure, Service};
 use fieldbeat_core::axis::feedback::MONITOR_CHANNELS;
 use fieldbeat_core::bus::desired::{Mode as ModeWanted, ModeIs, Reference};
 use fieldbeat_core::time::{MS, Time};
@@ -24,11 +24,33 @@ const CARRIED_NS: u64 = 10 * MS;
 /// The SDO under way.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Pending {
-    Method,
+    Method(i8),
     Mode(Mode),
     Display,
     Reference,
-    Shown(usize),
+    Shown(usize, Entry),
+}
+
+impl Pending {
+    fn begin(self, service: &mut Service) {
+        match self {
+            Pending::Method(method) => service.write(HOMING_METHOD, &method.to_le_bytes()),
+            Pending::Mode(mode) => service.write(MODE, &mode.0.to_le_bytes()),
+            Pending::Display => service.read(MODE_DISPLAY),
+            Pending::Reference => service.read(MANUFACTURER_STATUS),
+            Pending::Shown(_, entry) => service.read(entry.object),
+        }
+    }
+}
+
+/// The mode that the drive shows.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+enum Display {
+    #[default]
+    Unread,
+    Read,
+    /// Somebody else may have changed the mode: it counts as another one until it is read.
+    Doubted,
 }
 
 /// The SDOs of one station.
@@ -38,26 +60,20 @@ pub struct Requests {
     /// The outputs carry the mode, this one: what an SDO writes they would overwrite.
     carried: Option<Mode>,
     method: Option<i8>,
-    show: [Option<(Object, Type)>; MONITOR_CHANNELS],
+    show: [Option<Entry>; MONITOR_CHANNELS],
     pending: Option<Pending>,
     not_before: Time,
-    /// With this mode wanted there is nothing to do, except for monitored objects.
-    content: Option<ModeWanted>,
     /// The mode that the drive is in; `None`: not known.
     mode: Option<Mode>,
-    /// Somebody else may have changed the mode: it counts as another one until it is read.
-    doubted: bool,
+    display: Display,
     /// The method was written for this homing.
     method_written: bool,
-    display_read: bool,
     /// Its encoder is absolute: it always has its reference.
     absolute: bool,
-    /// Whether it is homed; `None`: not known.
-    pub homed: Option<bool>,
+    /// What a homing has left; `None`: not known.
+    pub(super) reference: Option<Reference>,
     /// The last homing was attained, by bit 12 of its status word: what counts for a drive without 1002h.
     pub(super) attained: bool,
-    /// It does not report that.
-    unreferred: bool,
     /// The SDO under way began too early.
     outdated: bool,
     /// It refused the last request.
@@ -80,7 +96,7 @@ impl Requests {
             method: drive.home_method,
             show: drive.show,
             absolute: drive.absolute,
-            homed: drive.absolute.then_some(true),
+            reference: drive.absolute.then_some(Reference::Set),
             ..Requests::default()
         }
     }
@@ -89,14 +105,14 @@ impl Requests {
     /// SDO is nobody's any more.
     pub(super) fn forget(&mut self) {
         let Requests { own, method, show, absolute, .. } = *self;
-        let (carried, homed) = (self.carried.and(own), absolute.then_some(true));
-        *self = Requests { own, carried, method, show, absolute, homed, ..Requests::default() };
+        let (carried, reference) = (self.carried.and(own), absolute.then_some(Reference::Set));
+        *self = Requests { own, carried, method, show, absolute, reference, ..Requests::default() };
         self.show_again(Time(0));
     }
 
     /// The drive shows this mode: nothing of the start-up was written to it.
     pub fn found_in(&mut self, mode: Mode) {
-        (self.mode, self.display_read, self.content) = (Some(mode), true, None);
+        (self.mode, self.display) = (Some(mode), Display::Read);
         self.carried = self.carried.map(|_| mode);
     }
 
@@ -107,7 +123,7 @@ impl Requests {
 
     /// The application may have changed the mode.
     pub(super) fn doubt_mode(&mut self) {
-        (self.doubted, self.display_read, self.content) = (true, false, None);
+        self.display = Display::Doubted;
         self.outdated |= self.pending == Some(Pending::Display);
     }
 
@@ -121,7 +137,7 @@ impl Requests {
         if self.absolute {
             return;
         }
-        (self.homed, self.content) = (None, None);
+        self.reference = None;
         self.outdated |= self.pending == Some(Pending::Reference);
     }
 
@@ -131,19 +147,10 @@ impl Requests {
         self.next_show
     }
 
-    /// What a homing has left; `None`: not known yet.
-    pub(super) fn reference(&self) -> Option<Reference> {
-        self.homed.map(|homed| match homed {
-            true => Reference::Set,
-            false if self.unreferred => Reference::Silent,
-            false => Reference::Lost,
-        })
-    }
-
     /// The mode that it is in, as far as is known: a mode written at start-up counts as its own.
     pub(super) fn mode(&self) -> ModeIs {
         match self.mode {
-            _ if self.doubted => ModeIs::Other,
+            _ if self.display == Display::Doubted => ModeIs::Other,
             _ if matches!(self.pending, Some(Pending::Mode(_))) => ModeIs::Other,
             None => ModeIs::Own,
             // It shows another one than the outputs carry, and is about to change to that.
@@ -164,20 +171,9 @@ impl Requests {
 
     /// Takes the result of the last SDO, and begins the next; false: there was nothing to do.
     pub(super) fn advance(&mut self, now: Time, wanted: ModeWanted, service: &mut Service) -> bool {
-        let is_idle = self.are_idle(wanted) && now < self.next_show;
-        if !is_idle {
-            self.go_on(now, wanted, service);
+        if self.are_idle(wanted) && now < self.next_show {
+            return false;
         }
-        !is_idle
-    }
-
-    /// With this mode wanted there is nothing to do, except for monitored objects.
-    pub(super) fn are_idle(&self, wanted: ModeWanted) -> bool {
-        self.content == Some(wanted)
-    }
-
-    fn go_on(&mut self, now: Time, wanted: ModeWanted, service: &mut Service) {
-        self.content = None;
         if let Some(pending) = self.pending
             && let Some(end) = service.take_end()
         {
@@ -187,17 +183,18 @@ impl Requests {
         if let Some(mode) = self.to_carry(wanted) {
             self.carry(now, mode);
         }
-        if self.pending.is_some() || now < self.not_before {
-            return;
-        }
-        match self.next(now, wanted) {
-            Some((pending, transfer)) if service.is_free() => {
-                self.pending = Some(pending);
-                service.begin(transfer);
+        if self.pending.is_none() && now >= self.not_before && service.is_free() {
+            self.pending = self.next(now, wanted);
+            if let Some(pending) = self.pending {
+                pending.begin(service);
             }
-            Some(_) => {}
-            None => self.content = Some(wanted),
         }
+        true
+    }
+
+    /// With this mode wanted there is nothing to do, except for monitored objects.
+    pub(super) fn are_idle(&self, wanted: ModeWanted) -> bool {
+        self.pending.is_none() && self.to_carry(wanted).is_none() && self.next_own(wanted).is_none()
     }
 
     /// The mode that the drive shall be in; `None`: the one that it is in.
@@ -209,15 +206,15 @@ impl Requests {
         }
     }
 
-    /// The method of homing is to be written before its mode.
-    fn lacks_method(&self, mode: Mode) -> bool {
-        mode == Mode::HOMING && self.method.is_some() && !self.method_written
+    /// The method of homing, if it is to be written before this mode.
+    fn lacks_method(&self, mode: Mode) -> Option<i8> {
+        self.method.filter(|_| mode == Mode::HOMING && !self.method_written)
     }
 
     /// The mode that the outputs are to carry in place of the present one, whatever the drive shows.
     fn to_carry(&self, wanted: ModeWanted) -> Option<Mode> {
         let carried = self.carried?;
-        self.wants(wanted).filter(|mode| *mode != carried && !self.lacks_method(*mode))
+        self.wants(wanted).filter(|mode| *mode != carried && self.lacks_method(*mode).is_none())
     }
 
     /// The outputs carry this mode from now on: until it was read again nothing is known of the drive's.
@@ -228,44 +225,37 @@ impl Requests {
         self.doubt_mode();
     }
 
-    fn next(&self, now: Time, wanted: ModeWanted) -> Option<(Pending, Transfer)> {
-        let wants = self.wants(wanted);
-        if wants.is_some() && wants != self.mode && !self.doubted {
-            return self.next_mode(wants?);
+    fn next(&self, now: Time, wanted: ModeWanted) -> Option<Pending> {
+        self.next_own(wanted).or_else(|| self.next_shown().filter(|_| now >= self.next_show))
+    }
+
+    /// The next one besides the monitored objects.
+    fn next_own(&self, wanted: ModeWanted) -> Option<Pending> {
+        match self.wants(wanted) {
+            Some(mode) if Some(mode) != self.mode && self.display != Display::Doubted => {
+                Some(match self.lacks_method(mode) {
+                    Some(method) => Pending::Method(method),
+                    // Whether the drive shows it by now.
+                    None if self.carried.is_some() => Pending::Display,
+                    None => Pending::Mode(mode),
+                })
+            }
+            _ if self.display != Display::Read => Some(Pending::Display),
+            _ => self.reference.is_none().then_some(Pending::Reference),
         }
-        if !self.display_read {
-            return Some((Pending::Display, Transfer::Read(MODE_DISPLAY)));
-        }
-        if self.homed.is_none() {
-            return Some((Pending::Reference, Transfer::Read(MANUFACTURER_STATUS)));
-        }
-        if now < self.next_show {
-            return None;
-        }
-        let (channel, object) = self.next_shown()?;
-        Some((Pending::Shown(channel), Transfer::Read(object)))
     }
 
     /// The next channel whose turn it is.
-    fn next_shown(&self) -> Option<(usize, Object)> {
-        let places = (self.turn..MONITOR_CHANNELS).chain(0..self.turn);
-        places
-            .filter(|channel| !self.show_refused[*channel])
-            .find_map(|channel| Some((channel, self.show[channel]?.0)))
+    fn next_shown(&self) -> Option<Pending> {
+        let mut places = (self.turn..MONITOR_CHANNELS).chain(0..self.turn);
+        places.find_map(|channel| {
+            let entry = self.show[channel].filter(|_| !self.show_refused[channel])?;
+            Some(Pending::Shown(channel, entry))
+        })
     }
 
-    fn next_mode(&self, mode: Mode) -> Option<(Pending, Transfer)> {
-        let byte = |object, value: i8| Transfer::Write { object, raw: u64::from(value as u8), bytes: 1 };
-        match self.method {
-            Some(method) if self.lacks_method(mode) => Some((Pending::Method, byte(HOMING_METHOD, method))),
-            // Whether the drive shows it by now.
-            _ if self.carried.is_some() => Some((Pending::Display, Transfer::Read(MODE_DISPLAY))),
-            _ => Some((Pending::Mode(mode), byte(MODE, mode.0))),
-        }
-    }
-
-    fn take(&mut self, now: Time, pending: Pending, end: Result<u32, SdoFailure>) {
-        if matches!(end, Err(SdoFailure::Silent | SdoFailure::Unusable(_))) {
+    fn take(&mut self, now: Time, pending: Pending, end: Result<u32, Failure>) {
+        if matches!(end, Err(Failure::GivenUp(_) | Failure::Unusable(_))) {
             self.outdated = false;
             self.not_before = now + AGAIN_NS;
             if matches!(pending, Pending::Mode(_)) {
@@ -275,45 +265,47 @@ impl Requests {
             return;
         }
         match (pending, end) {
-            (Pending::Method, Ok(_)) => self.method_written = true,
+            (Pending::Method(_), Ok(_)) => self.method_written = true,
             (Pending::Mode(mode), Ok(_)) => {
                 self.mode = Some(mode);
                 self.method_written &= mode == Mode::HOMING;
             }
-            (Pending::Method | Pending::Mode(_), Err(_)) => {
+            (Pending::Method(_) | Pending::Mode(_), Err(_)) => {
                 self.refused = true;
                 self.not_before = now + AGAIN_NS;
             }
             (Pending::Display | Pending::Reference, _) if std::mem::take(&mut self.outdated) => {}
             (Pending::Display, end) => {
-                (self.display_read, self.doubted) = (true, false);
+                self.display = Display::Read;
                 // A drive that does not report its mode has the one that was written, or that the outputs carry.
                 self.mode = end.ok().map(|raw| Mode(raw as u8 as i8)).or(self.carried);
                 if self.carried != self.mode && self.carried.is_some() {
                     self.not_before = now + SHOW_EVERY_NS;
                 }
             }
-            // A drive without 1002h has the reference that was seen to be set.
             (Pending::Reference, end) => {
-                self.unreferred = end.is_err();
-                self.homed = Some(end.map_or(self.attained, |raw| raw & REFERENCE != 0));
+                self.reference = Some(match end {
+                    Ok(raw) if raw & REFERENCE != 0 => Reference::Set,
+                    Ok(_) => Reference::Lost,
+                    // A drive without 1002h has the reference that was seen to be set.
+                    Err(_) if self.attained => Reference::Set,
+                    Err(_) => Reference::Silent,
+                });
             }
-            (Pending::Shown(channel), end) => self.take_value(now, channel, end),
-        }
-    }
-
-    fn take_value(&mut self, now: Time, channel: usize, end: Result<u32, SdoFailure>) {
-        self.turn = (channel + 1) % MONITOR_CHANNELS;
-        self.shown_fresh = true;
-        match (end, self.show[channel]) {
-            (Ok(raw), Some((_, kind))) => self.shown[channel] = Some(kind.number(raw.into()) as f64),
-            (Err(SdoFailure::Abort(code)), _) => {
-                (self.shown[channel], self.show_refused[channel]) = (None, true);
-                self.refusal = Some((channel as u8, code.0));
+            (Pending::Shown(channel, entry), end) => {
+                self.turn = (channel + 1) % MONITOR_CHANNELS;
+                self.shown_fresh = true;
+                match end {
+                    Ok(raw) => self.shown[channel] = Some(entry.kind.number(raw.into()) as f64),
+                    Err(Failure::Abort(code)) => {
+                        (self.shown[channel], self.show_refused[channel]) = (None, true);
+                        self.refusal = Some((channel as u8, code.0));
+                    }
+                    Err(_) => {}
+                }
+                self.show_again(now + SHOW_EVERY_NS);
             }
-            _ => {}
         }
-        self.show_again(now + SHOW_EVERY_NS);
     }
 }
 
@@ -321,8 +313,10 @@ impl Requests {
 mod tests {
     use super::*;
     use crate::object::Family;
+    use crate::object::Object;
     use crate::object::pdo::Layout;
     use crate::wire::sdo::AbortCode;
+    use fieldbeat_core::axis::acyclic::CallError;
 
     #[test]
     fn a_mode_whose_write_was_not_answered_is_read_before_it_counts() {
@@ -331,44 +325,44 @@ mod tests {
         requests.found_in(own);
         assert_eq!(requests.mode(), ModeIs::Own);
         let write = Pending::Mode(Mode::HOMING);
-        requests.take(Time(0), write, Err(SdoFailure::Silent));
+        requests.take(Time(0), write, Err(Failure::GivenUp(CallError::TimedOut)));
         assert_eq!(requests.mode(), ModeIs::Other, "the drive may have taken it");
-        let next = requests.next(Time(u64::MAX), ModeWanted::Own).map(|(pending, _)| pending);
+        let next = requests.next(Time(u64::MAX), ModeWanted::Own);
         assert_eq!(next, Some(Pending::Display));
         requests.take(Time(0), Pending::Display, Ok(Mode::HOMING.0 as u8 as u32));
         assert_eq!(requests.mode(), ModeIs::Homing);
-        let next = requests.next(Time(u64::MAX), ModeWanted::Own).map(|(pending, _)| pending);
+        let next = requests.next(Time(u64::MAX), ModeWanted::Own);
         assert_eq!(next, Some(Pending::Mode(own)));
     }
 
     #[test]
     fn a_drive_without_1002h_is_homed_by_what_was_seen_or_by_its_encoder() {
         let mut drive = KollmorgenDrive::new("x", 0, Family::Akd);
-        let absent = || Err(SdoFailure::Abort(AbortCode::NO_OBJECT));
+        let absent = || Err(Failure::Abort(AbortCode::NO_OBJECT));
         let mut requests = Requests::new(&drive);
         for (attained, expected) in
             [(false, Reference::Silent), (true, Reference::Set), (false, Reference::Silent)]
         {
             requests.attained = attained;
             requests.request_reference();
-            assert_eq!((requests.homed, requests.reference()), (None, None));
+            assert_eq!(requests.reference, None);
             requests.take(Time(0), Pending::Reference, absent());
-            assert_eq!((requests.homed, requests.reference()), (Some(attained), Some(expected)));
+            assert_eq!(requests.reference, Some(expected));
         }
         // One that has it says so itself, and one that was away is not known any more.
         requests.attained = true;
         requests.take(Time(0), Pending::Reference, Ok(0));
-        assert_eq!(requests.reference(), Some(Reference::Lost));
+        assert_eq!(requests.reference, Some(Reference::Lost));
         requests.forget();
         requests.take(Time(0), Pending::Reference, absent());
-        assert_eq!(requests.homed, Some(false));
+        assert_eq!(requests.reference, Some(Reference::Silent));
         drive.absolute = true;
         let mut requests = Requests::new(&drive);
         for change in [|_: &mut Requests| {}, Requests::request_reference, Requests::forget] {
             change(&mut requests);
             requests.take(Time(0), Pending::Display, Ok(7));
-            assert_eq!((requests.homed, requests.reference()), (Some(true), Some(Reference::Set)));
-            assert_eq!(requests.next(Time(0), ModeWanted::AsIs).map(|(pending, _)| pending), None);
+            assert_eq!(requests.reference, Some(Reference::Set));
+            assert_eq!(requests.next(Time(0), ModeWanted::AsIs), None);
         }
     }
 
@@ -380,7 +374,7 @@ mod tests {
         drive.outputs = Layout::of_known(0x1600, &objects).unwrap();
         drive.mode = Some(Mode::INTERPOLATED);
         let (own, byte) = (Mode::INTERPOLATED, |mode: Mode| Ok(mode.0 as u8 as u32));
-        for lost in [byte(own), Err(SdoFailure::Silent)] {
+        for lost in [byte(own), Err(Failure::GivenUp(CallError::TimedOut))] {
             let mut requests = Requests::new(&drive);
             requests.take(Time(0), Pending::Display, byte(own));
             assert_eq!((requests.to_carry(ModeWanted::Own), requests.mode()), (None, ModeIs::Own));

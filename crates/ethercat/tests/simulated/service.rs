@@ -19,8 +19,8 @@ use fieldbeat_ethercat::counters::Own;
 use fieldbeat_ethercat::object::number::{DEVICE_NAME as NAME, DEVICE_TYPE, MODE, STATUS_WORD};
 use fieldbeat_ethercat::object::{self, READ, Target, WRITE, long};
 use fieldbeat_ethercat::plan::{Area, SlavePlan};
-use fieldbeat_ethercat::service::active::{ATTEMPTS, SdoFailure, Transfer};
-use fieldbeat_ethercat::service::sdo::KEPT;
+use fieldbeat_ethercat::service::active::ATTEMPTS;
+use fieldbeat_ethercat::service::sdo::{Failure, KEPT};
 use fieldbeat_ethercat::service::*;
 use fieldbeat_ethercat::slot;
 use fieldbeat_ethercat::slot::{Answers, Ask};
@@ -179,9 +179,9 @@ impl Bench {
     }
 
     /// A transfer of the master, to its end.
-    fn transfer(&mut self, transfer: Transfer) -> Result<u32, SdoFailure> {
+    fn transfer(&mut self, begin: impl FnOnce(&mut Service)) -> Result<u32, Failure> {
         assert!(self.service.is_free());
-        self.service.begin(transfer);
+        begin(&mut self.service);
         for _ in 0..3_000 {
             if let Some(end) = self.service.take_end() {
                 return end;
@@ -192,8 +192,12 @@ impl Bench {
         panic!("it never ends");
     }
 
-    fn read(&mut self, object: Object) -> Result<u32, SdoFailure> {
-        self.transfer(Transfer::Read(object))
+    fn read(&mut self, object: Object) -> Result<u32, Failure> {
+        self.transfer(|service| service.read(object))
+    }
+
+    fn set(&mut self, object: Object, byte: u8) -> Result<u32, Failure> {
+        self.transfer(|service| service.write(object, &[byte]))
     }
 
     fn post(&self, service: u32, address: &str, value: u64) -> CallTicket {
@@ -228,8 +232,7 @@ fn a_drive_is_read_and_written_in_both_dialects() {
         for _ in 0..20 {
             assert_eq!(bench.read(Object::new(0x1018, 1)), Ok(0x6A), "{dialect:?}");
         }
-        let write = Transfer::Write { object: MODE, raw: 7, bytes: 1 };
-        assert_eq!(bench.transfer(write), Ok(7));
+        assert_eq!(bench.set(MODE, 7), Ok(7));
         assert_eq!((bench.read(MODE), bench.call(READ, "0x6060:0", 0)), (Ok(7), Ok(7)));
         assert_eq!(bench.call(WRITE, "0x6060:0", 3), Ok(3));
         assert_eq!(bench.read(MODE), Ok(3));
@@ -237,7 +240,7 @@ fn a_drive_is_read_and_written_in_both_dialects() {
         assert_eq!(faults.map(|own| bench.own(own)), [0; 4], "{dialect:?}");
         // A refusal names its code.
         let code = AbortCode::NO_OBJECT;
-        assert_eq!(bench.read(Object::new(0x5FFF, 1)), Err(SdoFailure::Abort(code)));
+        assert_eq!(bench.read(Object::new(0x5FFF, 1)), Err(Failure::Abort(code)));
         assert_eq!(bench.call(READ, "0x5FFF:1", 0), Err(CallError::Refused(code.0)));
         assert_eq!(bench.own(Own::Aborts), 2);
         let not_complete = Err(CallError::Refused(AbortCode::NOT_COMPLETE.0));
@@ -277,8 +280,7 @@ fn no_lost_frame_changes_what_comes_of_a_transfer() {
             let (mut bench, server) = Bench::server(length, &[(MODE, &[7]), (STATUS_WORD, &[0x37, 6])]);
             bench.read(MODE).unwrap();
             bench.fates = lost;
-            let write = Transfer::Write { object: MODE, raw: 0x85, bytes: 1 };
-            assert_eq!(bench.transfer(write), Ok(0x85), "{length} {code}");
+            assert_eq!(bench.set(MODE, 0x85), Ok(0x85), "{length} {code}");
             bench.steps(10);
             let shared = server.shared();
             let mut counts: Vec<u8> = shared.requests.iter().map(|request| request[5] >> 4).collect();
@@ -321,7 +323,7 @@ fn a_first_request_that_has_the_last_count_of_another_master_is_answered_all_the
         let (mut bench, server) = Bench::server(32, &[(MODE, &[8])]);
         server.shared().count_is(last);
         for round in 0..3 {
-            bench.service.begin(Transfer::Read(MODE));
+            bench.service.read(MODE);
             let end = (0..690).find_map(|_| {
                 bench.step();
                 bench.service.take_end()

@@ -12,7 +12,7 @@ use fieldbeat_ethercat::faults::Fault;
 use fieldbeat_ethercat::mode::Mode;
 use fieldbeat_ethercat::native::Native;
 use fieldbeat_ethercat::object::number::{CONTROL_WORD, STATUS_WORD};
-use fieldbeat_ethercat::object::pdo::Layout;
+use fieldbeat_ethercat::object::pdo::{Entry, Layout};
 use fieldbeat_ethercat::object::{Family, Object, Type, pdo};
 use fieldbeat_ethercat::plan::{KollmorgenDrive, Mapping, Watchdog};
 use fieldbeat_ethercat::profile::capabilities;
@@ -431,9 +431,9 @@ fn native_outputs_go_out_as_they_are_and_the_master_keeps_its_control_word() {
 #[test]
 fn objects_are_shown_in_turns_and_a_refusal_is_told_once() {
     let mut plan = velocity();
-    plan.show[0] = Some((Object::new(0x6061, 0), Type::I8));
-    plan.show[2] = Some((Object::new(0x5FFF, 0), Type::I32));
-    plan.show[3] = Some((Object::new(0x1018, 1), Type::U32));
+    plan.show[0] = Some(Entry { object: Object::new(0x6061, 0), kind: Type::I8 });
+    plan.show[2] = Some(Entry { object: Object::new(0x5FFF, 0), kind: Type::I32 });
+    plan.show[3] = Some(Entry { object: Object::new(0x1018, 1), kind: Type::U32 });
     let mut rig = Rig::new(plan);
     let (mut refusals, mut shown) = (0, 0);
     for _ in 0..1_000 {

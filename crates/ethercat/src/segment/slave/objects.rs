@@ -5,7 +5,7 @@ use crate::mode::Mode;
 use crate::object::Type;
 use crate::object::number::{MODE_DISPLAY, STATUS_WORD};
 use crate::plan::Start;
-use crate::service::{SdoFailure, Service, Transfer};
+use crate::service::{Failure, Service};
 use crate::wire::registers::AlState;
 use crate::wire::sdo::{AbortCode, Object};
 use fieldbeat_core::bus::cia402::StatusWord;
@@ -55,14 +55,11 @@ impl Slave {
             let _ = service.take_end();
             if service.is_free() {
                 match list {
-                    List::Write if !start.string.is_empty() => {
-                        service.begin_long(start.object, &start.string);
+                    List::Write if start.string.is_empty() => {
+                        service.write(start.object, &start.raw.to_le_bytes()[..start.kind.bytes()]);
                     }
-                    List::Write => {
-                        let bytes = start.kind.bytes() as u8;
-                        service.begin(Transfer::Write { object: start.object, raw: start.raw, bytes });
-                    }
-                    _ => service.begin(Transfer::Read(start.object)),
+                    List::Write => service.write(start.object, &start.string),
+                    _ => service.read(start.object),
                 }
                 self.step = Step::Objects { list, next, begun: true };
             }
@@ -96,25 +93,25 @@ impl Slave {
             }
             // An object that a slave does not have, or does not report, cannot contradict; a drive has to report
             // its PDOs.
-            Err(SdoFailure::Abort(_)) if matches!(list, List::Verify | List::Power | List::Mode) => {
+            Err(Failure::Abort(_)) if matches!(list, List::Verify | List::Power | List::Mode) => {
                 self.step = Step::Objects { list, next: next + 1, begun: false };
             }
             Ok(_) => self.step = Step::Objects { list, next: next + 1, begun: false },
-            Err(SdoFailure::Abort(abort)) if start.optional && abort.is_of_optional() => {
+            Err(Failure::Abort(abort)) if start.optional && abort.is_of_optional() => {
                 self.omitted = Note::Omitted { object, abort };
                 self.step = Step::Objects { list, next: next + 1, begun: false };
             }
             Err(_) if self.way.joined || matches!(list, List::Power | List::Found | List::Mode) => {
                 self.not_joinable(now);
             }
-            Err(SdoFailure::Abort(abort)) if list == List::Own => {
+            Err(Failure::Abort(abort)) if list == List::Own => {
                 self.refuse(now, Note::OwnValue { object, abort });
             }
-            Err(SdoFailure::Abort(abort)) => self.refuse(now, Note::StartUp { object, abort }),
-            Err(SdoFailure::Unusable(status)) => {
+            Err(Failure::Abort(abort)) => self.refuse(now, Note::StartUp { object, abort }),
+            Err(Failure::Unusable(status)) => {
                 self.list_again(now, Note::StartUp { object, abort: AbortCode(status) });
             }
-            Err(SdoFailure::Silent) => {
+            Err(Failure::GivenUp(_)) => {
                 let within_ms = u32::try_from(self.plan.sdo_timeout_ns / MS).unwrap_or(u32::MAX);
                 let writes = list == List::Write;
                 self.list_again(now, Note::Unanswered { object, writes, within_ms });

@@ -74,10 +74,10 @@ fn a_longer_value_is_written_at_once_or_in_segments_as_the_mailbox_holds_it() {
             assert_eq!(shared.requests.len(), 1 + if bytes > 4 { segments } else { 0 }, "{length} {bytes}");
             drop(shared);
             // The same at start-up.
-            bench.service.begin_long(NAME, &data[..bytes.min(3)]);
+            bench.service.write(NAME, &data[..bytes.min(3)]);
             bench.steps(6);
             assert!(bench.service.take_end().is_some_and(|end| end.is_ok()));
-            bench.service.begin_long(NAME, &data);
+            bench.service.write(NAME, &data);
             bench.steps(400);
             assert!(bench.service.take_end().is_some_and(|end| end.is_ok()));
             assert_eq!(server.shared().objects[0].1, data);
@@ -91,8 +91,8 @@ fn a_mailbox_of_one_sdo_takes_no_longer_value() {
     let refused = CallError::Refused(object::EXPEDITED);
     let ends = series(&mut bench, &naming(b"abcdefghi"));
     assert_eq!(ends, [Ok(long::raw(b"abcdefgh")), Ok(u64::from(b'i')), Err(refused)]);
-    bench.service.begin_long(NAME, b"abcde");
-    assert_eq!(bench.service.take_end(), Some(Err(SdoFailure::Unusable(object::EXPEDITED))));
+    bench.service.write(NAME, b"abcde");
+    assert_eq!(bench.service.take_end(), Some(Err(Failure::Unusable(object::EXPEDITED))));
     bench.steps(20);
     assert!(server.shared().requests.is_empty(), "nothing of it was sent");
     let ends = series(&mut bench, &naming(b"abcd"));
@@ -165,7 +165,7 @@ fn a_write_that_commands_the_drive_is_checked_until_a_frame_carries_it() {
     assert_eq!(bench.wait(ticket), Err(CallError::Commands));
     assert!(!bench.service.commands() && server.shared().requests.is_empty(), "nothing of it was sent");
     assert_eq!(bench.read(MODE), Ok(7), "the master's own are exempt");
-    assert_eq!(bench.transfer(Transfer::Write { object: MODE, raw: 6, bytes: 1 }), Ok(6));
+    assert_eq!(bench.set(MODE, 6), Ok(6));
     // What a frame has carried goes on, and is known to be under way.
     bench.guarded = false;
     bench.step();
@@ -199,8 +199,8 @@ fn without_a_mailbox_or_with_a_closed_one_all_is_refused_at_once() {
     let (acyclic, port) = Acyclic::alone(4, Commanding::none(), Arc::new(object::Objects));
     let mut none = Service::new(&SlavePlan::new(0), Some(port), 0);
     none.open(true);
-    none.begin(Transfer::Read(MODE));
-    assert_eq!(none.take_end(), Some(Err(SdoFailure::Silent)));
+    none.read(MODE);
+    assert_eq!(none.take_end(), Some(Err(Failure::GivenUp(CallError::NotOnline))));
     assert!(none.is_free());
     let call = Target::parse("mode").unwrap().read();
     let mut ticket = acyclic.post(call, LIMIT).unwrap();
@@ -211,10 +211,10 @@ fn without_a_mailbox_or_with_a_closed_one_all_is_refused_at_once() {
     assert!(ask.is_empty());
 
     let (mut bench, _server) = Bench::server(16, &[(MODE, &[7])]);
-    bench.service.begin(Transfer::Read(MODE));
+    bench.service.read(MODE);
     bench.steps(2);
     bench.service.open(false);
-    assert_eq!(bench.service.take_end(), Some(Err(SdoFailure::Silent)));
+    assert_eq!(bench.service.take_end(), Some(Err(Failure::GivenUp(CallError::Restarted))));
     let mut ticket = bench.post(READ, "mode", 0);
     bench.steps(1);
     assert_eq!(ticket.poll(), Some(Err(CallError::NotOnline)));

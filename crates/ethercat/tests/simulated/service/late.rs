@@ -35,7 +35,7 @@ fn an_answer_that_a_slave_does_not_send_again_costs_one_repetition() {
             assert!(took < 120 * MS, "it waits no longer than for the repetition: {took}");
             // The same of a write: it is carried out twice, and leaves the same.
             bench.fates = vec![Fate::Returns, Fate::Returns, Fate::NeverReturns];
-            assert_eq!(bench.transfer(Transfer::Write { object: MODE, raw: 5, bytes: 1 }), Ok(5));
+            assert_eq!(bench.set(MODE, 5), Ok(5));
             // What the application writes is not written twice: it is informed that it may have been.
             let requests = server.shared().requests.len();
             bench.fates = vec![Fate::Returns, Fate::Returns, Fate::NeverReturns];
@@ -60,7 +60,7 @@ fn a_late_answer_is_that_of_its_sdo_and_what_comes_after_it_is_no_value() {
     let (mut bench, server) = Bench::server(16, &[(SERIAL, &[0x6A]), (MODE, &[7]), (STATUS_WORD, &[1, 2])]);
     assert_eq!((bench.read(MODE), bench.read(MODE)), (Ok(7), Ok(7)));
     let held = hold(&server, 2);
-    bench.service.begin(Transfer::Read(SERIAL));
+    bench.service.read(SERIAL);
     // Two of them are under way.
     bench.steps(800);
     assert_eq!((held.lock().unwrap().len(), bench.own(Own::MailboxRepeats)), (2, 1));
@@ -82,7 +82,7 @@ fn without_counts_nothing_of_a_given_up_sdo_is_taken_for_the_next_one() {
     // The first request goes out with a second count, too.
     let held = hold(&server, usize::from(ATTEMPTS) + 1);
     let begun = bench.now;
-    assert_eq!(bench.read(SERIAL), Err(SdoFailure::Silent));
+    assert_eq!(bench.read(SERIAL), Err(Failure::GivenUp(CallError::TimedOut)));
     let took = bench.now.since(begun);
     assert!((3 * ANSWER_NS..3 * ANSWER_NS + 5 * MS).contains(&took), "{took}");
     // All answers come late, just before that of the next request.
@@ -126,8 +126,7 @@ fn a_slave_that_counts_its_own_messages_is_understood() {
             all
         }));
         for round in 0..20_u8 {
-            let write = Transfer::Write { object: MODE, raw: round.into(), bytes: 1 };
-            assert_eq!(bench.transfer(write), Ok(round.into()));
+            assert_eq!(bench.set(MODE, round), Ok(round.into()));
             assert_eq!((bench.read(SERIAL), bench.read(MODE)), (Ok(0x6A), Ok(round.into())), "{emergencies}");
         }
         assert_eq!(bench.own(Own::MailboxSilent), 0);
@@ -169,7 +168,7 @@ fn no_answer_ends_a_transfer_after_its_attempts() {
     let (mut bench, server) = Bench::server(16, &[]);
     server.shared().twist = Some(Box::new(|_| Vec::new()));
     let begun = bench.now;
-    assert_eq!(bench.read(MODE), Err(SdoFailure::Silent));
+    assert_eq!(bench.read(MODE), Err(Failure::GivenUp(CallError::TimedOut)));
     let took = bench.now.since(begun);
     assert!((3 * ANSWER_NS..3 * ANSWER_NS + 5 * MS).contains(&took), "{took}");
     // The time of a call is the application's.
@@ -198,12 +197,13 @@ fn the_answer_to_what_goes_before_an_sdo_may_be_lost_as_well() {
 /// A firmware takes a request when it has time, and some only once their own message was read.
 #[test]
 fn a_mailbox_that_is_full_is_waited_for_as_long_as_the_slave_may_take() {
-    for (frees, expected) in
-        [(Some(600 * MS), Err(SdoFailure::Silent)), (None, Err(SdoFailure::Unusable(object::FULL)))]
-    {
+    for (frees, expected) in [
+        (Some(600 * MS), Err(Failure::GivenUp(CallError::TimedOut))),
+        (None, Err(Failure::Unusable(object::FULL))),
+    ] {
         let (mut full, mut counters) = (Service::new(&plan(16), None, 0), Counters::default());
         full.open(true);
-        full.begin(Transfer::Read(MODE));
+        full.read(MODE);
         let answer = |working_counter, data| Some(slot::Answer { working_counter, data });
         let (begun, mut now) = (Time(S), Time(S));
         let (mut end, mut writes) = (None, 0);
