@@ -23,7 +23,7 @@ use self::clock::SegmentClock;
 use self::judge::{FrameState, Slaves};
 use self::note::{Note, Notes};
 use self::running::Running;
-use self::slave::{Mapped, Slave};
+use self::slave::{Mapped, Runs, Slave};
 use self::topology::Topology;
 use super::counters::Own;
 use super::image::{Frame, Offsets};
@@ -288,12 +288,12 @@ impl Segment {
 
     /// All slaves were read, and none runs on a time other than the segment's.
     fn may_have_time(&self) -> bool {
-        self.slaves.iter().all(|slave| slave.looked_at) && self.other_time().is_none()
+        self.slaves.iter().all(|slave| slave.runs == Runs::Harmless)
     }
 
     /// The position of a slave that runs on a time other than the segment's.
     fn other_time(&self) -> Option<u16> {
-        self.slaves.iter().find(|slave| slave.looked_at && slave.other_time).map(|slave| slave.plan.place)
+        self.slaves.iter().find(|slave| slave.runs == Runs::Apart).map(|slave| slave.plan.place)
     }
 
     /// The slave whose clock is the segment's, if it is set.

@@ -7,17 +7,42 @@ use crate::wire::frame::Command;
 use crate::wire::registers::address;
 
 /// From the cyclic unit to the cycle of SYNC0.
-const SYNC: usize = (address::DC_CYCLE - address::DC_CONTROL) as usize + 4;
+pub(super) const SYNC: usize = (address::DC_CYCLE - address::DC_CONTROL) as usize + 4;
 /// Cyclic operation, and SYNC0.
 const CYCLIC: u8 = 1;
 const SYNC0: u8 = 2;
 
-/// The state of its clock.
+/// The state of its cyclic unit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Running {
+pub struct Sync0 {
     active: u8,
     /// The period of SYNC0, ns.
     cycle_ns: u32,
+}
+
+impl Sync0 {
+    /// Of the registers from the cyclic unit to the cycle of SYNC0; `None`: they are too short.
+    pub fn new(data: &[u8]) -> Option<Sync0> {
+        let cycle = data.first_chunk::<SYNC>()?.last_chunk::<4>()?;
+        Some(Sync0 { active: data[1], cycle_ns: u32::from_le_bytes(*cycle) })
+    }
+
+    /// It acts at times of its clock.
+    pub fn is_cyclic(self) -> bool {
+        self.active & CYCLIC != 0
+    }
+
+    /// Its SYNC0 has this period. Where in a period it comes is left to it: outputs count from the next one on.
+    pub fn has_period(self, period_ns: u64) -> bool {
+        self.active & (CYCLIC | SYNC0) == CYCLIC | SYNC0 && u64::from(self.cycle_ns) == period_ns
+    }
+}
+
+/// The state of its clock.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Running {
+    /// Its cyclic unit.
+    pub sync: Sync0,
     /// Its time as the frame passed it: the lower half.
     pub time: u32,
 }
@@ -32,25 +57,8 @@ impl Running {
     /// Takes the answer.
     pub fn receive(answers: &Answers<'_>) -> Option<Running> {
         let [Some(sync), Some(time)] = answers else { return None };
-        let long = |at: u16| {
-            let at = usize::from(at - address::DC_CONTROL);
-            sync.data.get(at..)?.first_chunk::<4>().map(|bytes| u32::from_le_bytes(*bytes))
-        };
-        Some(Running {
-            active: *sync.data.get(1)?,
-            cycle_ns: long(address::DC_CYCLE)?,
-            time: u32::from_le_bytes(*time.data.first_chunk::<4>()?),
-        })
-    }
-
-    /// It acts at times of its clock.
-    pub fn is_cyclic(&self) -> bool {
-        self.active & CYCLIC != 0
-    }
-
-    /// Its SYNC0 has this period. Where in a period it comes is left to it: outputs count from the next one on.
-    pub fn has_period(&self, period_ns: u64) -> bool {
-        self.active & (CYCLIC | SYNC0) == CYCLIC | SYNC0 && u64::from(self.cycle_ns) == period_ns
+        let time = u32::from_le_bytes(*time.data.first_chunk::<4>()?);
+        Some(Running { sync: Sync0::new(sync.data)?, time })
     }
 }
 
@@ -83,8 +91,8 @@ mod tests {
         let mut sync = [0; SYNC];
         sync[1] = 3;
         let running = Running::receive(&answers(&sync, &[1, 2, 0, 0])).unwrap();
-        assert_eq!((running.is_cyclic(), running.time), (true, 0x0201));
-        assert!(running.has_period(0) && !running.has_period(1));
+        assert_eq!((running.sync.is_cyclic(), running.time), (true, 0x0201));
+        assert!(running.sync.has_period(0) && !running.sync.has_period(1));
         assert_eq!(Running::receive(&answers(&sync[..SYNC - 1], &[0; 8])), None);
         assert_eq!(Running::receive(&answers(&sync, &[0; 3])), None);
         assert_eq!(Running::receive(&[None, None]), None);

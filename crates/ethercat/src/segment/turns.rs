@@ -78,17 +78,14 @@ impl Segment {
         let slave = &self.slaves[index];
         let owner = slave.owner;
         handler.advance(owner, cycle.grid);
-        if slave.wants_nothing() && slave.is_open == slave.way.mailbox_open {
+        if slave.wants_nothing() {
             // Usually only its mailbox may have a request.
             return self.request_of_mailbox(index, cycle, handler);
         }
         let slave = &mut self.slaves[index];
         let mut service = handler.service(owner);
-        if let Some(service) = &mut service
-            && slave.is_open != slave.way.mailbox_open
-        {
-            slave.is_open = slave.way.mailbox_open;
-            service.open(slave.is_open);
+        if let Some(service) = &mut service {
+            service.open(slave.way.mailbox_open);
         }
         slave.objects(cycle.grid, service);
         if std::mem::take(&mut slave.has_own) {
@@ -134,7 +131,6 @@ impl Segment {
             has_time: self.has_time(index),
             counted: 0,
             in_use: None,
-            given: None,
             missing: None,
             turn_ns: sent.cycle.period_ns.saturating_mul(self.slaves.len() as u64),
             wants_outputs: handler.wants_outputs(*owner),
@@ -174,8 +170,7 @@ impl Segment {
         };
         let context = Context {
             counted: back.frame.slaves_in(back.received),
-            in_use: place_of(Slave::has_address),
-            given: place_of(Slave::was_given),
+            in_use: place_of(Slave::has_address).or_else(|| place_of(Slave::was_given)),
             missing: self.missing(answers),
             ..self.context(index, &back.sent, handler)
         };

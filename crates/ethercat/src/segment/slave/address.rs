@@ -7,40 +7,17 @@
 
 use super::receive::al;
 use super::request::{ALIAS, CONTROL, EMULATION_AT, LOOK};
-use super::{Context, Happened, LOOK_EVERY_NS, Missing, Note, Pause, Slave, Step};
-use crate::slot::{Answer, Answers, Ask};
-use crate::wire::frame::{Command, position};
+use super::{Context, Happened, LOOK_EVERY_NS, Missing, Note, Pause, Runs, Slave, Step, Tie};
+use crate::slot::{Answer, Answers};
 use crate::wire::registers::{AlState, AlStatus, Features, address};
 use fieldbeat_core::time::Time;
 
 impl Slave {
-    pub(super) fn request_there(&self, ask: &mut Ask) {
-        let place = position(self.plan.place);
-        ask.read(Command::Aprd(place, address::AL_STATUS), 2);
-        ask.read(Command::Aprd(place, address::STATION), 2);
-    }
-
-    /// Whoever has its station address loses it, as an alias too.
-    pub(super) fn request_free(&self, ask: &mut Ask) {
-        ask.write(Command::Fpwr(self.station(), address::ALIAS_ENABLE), &[0]);
-        ask.write(Command::Fpwr(self.station(), address::STATION), &[0; 2]);
-    }
-
-    pub(super) fn request_address(&self, ask: &mut Ask) {
-        ask.write(self.writes(address::STATION), &self.station().to_le_bytes());
-        ask.read(Command::Fprd(self.station(), address::STATION), 2);
-    }
-
     /// The station address in the answer to a look.
     pub fn station_in(&self, answers: &Answers<'_>) -> Option<u16> {
         let Step::Look = self.step else { return None };
         let look = answers[1]?.data.get(usize::from(address::STATION)..)?;
         look.first_chunk::<2>().map(|bytes| u16::from_le_bytes(*bytes))
-    }
-
-    /// It did not answer several times.
-    pub(super) fn silent(&mut self, now: Time, missing: Missing) {
-        self.enter(now, Step::There(missing));
     }
 
     /// It is reached by its position, which is another one's as long as the segment has another number of slaves than
@@ -81,9 +58,9 @@ impl Slave {
             // The other one is reached through it, or stands here.
             1 => {
                 // Nothing was written to the one that is set up.
-                let ours = self.ours;
+                let tie = self.tie;
                 self.refuse(now, Note::WrongPlace(place));
-                self.ours = ours;
+                self.tie = tie;
             }
             // It has an old one, which another master has left.
             _ => self.enter(now, Step::Unaddress),
@@ -113,11 +90,11 @@ impl Slave {
         self.note = Note::Starting;
         // A drive that may move has a time of its own, as long as that is not known.
         let has_time = self.may_be_found() && self.features.has_clock();
-        (self.looked_at, self.other_time) = (!has_time, has_time);
+        self.runs = if has_time { Runs::Unknown } else { Runs::Harmless };
         // A slave with an address that this master has given is the one that was set up with it, wherever it answers:
         // it may still have the FMMUs of that one, and carry out its outputs. That holds for the one with this address.
         let own = (self.given && station != self.station()).then_some((self.station(), self.plan.place));
-        let other = context.in_use.or(context.given).map(|place| (station, place));
+        let other = context.in_use.map(|place| (station, place));
         if let Some((station, place)) = other.or(own) {
             self.enter(now, Step::Twin { station, place });
             return Happened::Nothing;
@@ -127,19 +104,19 @@ impl Slave {
             return Happened::Nothing;
         }
         let intruded = self.is_intruded((status, requested), station, context.counted);
+        let is_known = self.tie >= Tie::Known;
         let restarted =
-            self.known && !intruded && (station != self.station() || self.way.al == Some(AlState::Init));
-        self.known &= !restarted;
+            is_known && !intruded && (station != self.station() || self.way.al == Some(AlState::Init));
         if restarted || intruded {
             // Under the address that another master has given it nothing would be read back.
-            (self.clock_set, self.ours) = (false, false);
+            (self.clock_set, self.tie) = (false, Tie::None);
         }
         if restarted && station != self.station() {
             // It was switched off.
             (self.refused, self.refusals) = (Note::None, 0);
         }
         if !self.goes_on(now) {
-            (self.known, self.ours) = (false, false);
+            self.tie = Tie::None;
             self.unmapped(now, 0);
         }
         match () {

@@ -15,17 +15,13 @@
 //! adjusted: the others have theirs where the grid wants it, and it has so, too, once it was set up. While one runs on
 //! another time, or one that cannot be used at all runs, the segment's time goes to no slave.
 
-use super::setup::WATCHDOG_DIVIDER;
-use super::{Context, List, Mapped, Note, Slave, Step, Way};
+use super::setup::are_set;
+use super::{Context, List, Mapped, Note, Runs, Slave, Step, Tie, Way};
 use crate::segment::running::Running;
-use crate::slot::{Answers, Ask};
-use crate::wire::registers::{AlState, AlStatus, Fmmu, SyncManager, address};
+use crate::slot::Answers;
+use crate::wire::registers::{AlState, AlStatus, Fmmu, SyncManager};
 use fieldbeat_core::axis::FoundRunning;
 use fieldbeat_core::time::{MS, Time};
-
-/// SyncManagers that are read, and the bytes from the divider of the watchdogs to that of the SyncManagers.
-const MANAGERS: usize = 4 * SyncManager::SIZE;
-pub(super) const WATCHDOGS: usize = (address::WATCHDOG - address::WATCHDOG_DIVIDER) as usize + 2;
 
 impl Slave {
     /// A drive in OP, as it was last seen: it may move.
@@ -33,50 +29,15 @@ impl Slave {
         self.way.al == Some(AlState::Op) && !self.is_device()
     }
 
-    pub(super) fn request_found(&self, ask: &mut Ask) {
-        ask.read(self.reads(address::SYNC_MANAGER), MANAGERS);
-        ask.read(self.reads(address::WATCHDOG_DIVIDER), WATCHDOGS);
-    }
-
-    pub(super) fn request_found_fmmus(&self, ask: &mut Ask) {
-        ask.read(self.reads(address::FMMU), self.fmmus().1);
-    }
-
-    pub(super) fn request_running(&self, ask: &mut Ask) {
-        Running::request(|register| self.reads(register), ask);
-    }
-
-    /// Its inputs and AL status; after the FMMU of its outputs.
-    pub(super) fn request_join(&self, ask: &mut Ask) {
-        let (fmmus, length) = self.fmmus();
-        let behind = self.output_fmmus() * Fmmu::SIZE;
-        ask.write(self.writes(address::FMMU + behind as u16), &fmmus[behind..length]);
-    }
-
     /// Its SyncManagers and watchdog.
     pub(super) fn found(&mut self, now: Time, answers: &Answers<'_>) {
         let [Some(managers), Some(watchdogs)] = answers else { return };
-        let is_set = |(number, wanted): (u16, SyncManager)| {
-            let at = usize::from(number) * SyncManager::SIZE;
-            let bytes = managers.data.get(at..).and_then(<[u8]>::first_chunk::<{ SyncManager::SIZE }>);
-            // Whether it arms a watchdog is checked separately.
-            bytes.is_some_and(|bytes| SyncManager::new(*bytes).unwatched() == wanted.unwatched())
-        };
-        let arms = |(number, wanted): (u16, SyncManager)| {
-            let control = managers.data.get(usize::from(number) * SyncManager::SIZE + 4);
-            control.is_some_and(|control| *control == wanted.control)
-        };
-        let word = |at: usize| {
-            let bytes = watchdogs.data.get(at..).and_then(<[u8]>::first_chunk::<2>);
-            bytes.map(|bytes| u16::from_le_bytes(*bytes))
-        };
-        let is_armed = || {
-            let values = (word(0), word(WATCHDOGS - 2));
-            self.managers().all(arms) && values == (Some(WATCHDOG_DIVIDER), Some(self.watchdog()))
-        };
-        self.watched = !self.sets_watchdog() || is_armed();
-        let is_own = self.has_al && self.managers().chain(self.mailbox_managers()).all(is_set);
-        if is_own {
+        let arms = |found: SyncManager, wanted: SyncManager| found.control == wanted.control;
+        self.watched = !self.sets_watchdog()
+            || are_set(managers.data, self.managers(), arms) && self.has_watchdog(watchdogs.data);
+        // Whether it arms a watchdog was checked separately.
+        let is_set = |found: SyncManager, wanted: SyncManager| found.unwatched() == wanted.unwatched();
+        if self.has_al && are_set(managers.data, self.all_managers(), is_set) {
             self.enter(now, Step::Free { joins: true });
         } else {
             self.not_joinable(now);
@@ -86,18 +47,18 @@ impl Slave {
     /// It has its station address: whether it has power. Nothing else of it counts if it has none.
     pub(super) fn power(&mut self, now: Time) {
         self.way.mailbox_open = self.plan.mailbox.is_some();
-        self.enter(now, Step::Objects { list: List::Power, next: 0, begun: false });
+        self.enter(now, Step::list(List::Power));
     }
 
     /// It has power, or does not say: it is joined if its clock and its FMMUs allow that.
     pub(super) fn has_power(&mut self, now: Time) {
-        let is_known = self.looked_at;
+        let is_known = self.runs != Runs::Unknown;
         self.enter(now, if is_known { Step::FoundFmmus } else { Step::FoundClock { refused: Note::None } });
     }
 
     /// It is refused, and runs on: for that its time has to be known, and that it may be the segment's.
     pub(super) fn leave_running(&mut self, now: Time, refused: Note) {
-        if !self.looked_at {
+        if self.runs == Runs::Unknown {
             return self.enter(now, Step::FoundClock { refused });
         }
         let runs = self.may_be_found();
@@ -127,28 +88,28 @@ impl Slave {
         let (now, sent_at, clock) = (context.cycle.grid, context.sent_at, &context.clock);
         let running = Running::receive(answers)?;
         let is_same = clock.is_time_of(context.cycle, sent_at, running.time);
-        self.looked_at = true;
-        self.other_time = running.is_cyclic() && context.has_time && !is_same;
-        let is_dragged = self.other_time && context.timed;
+        let is_apart = running.sync.is_cyclic() && context.has_time && !is_same;
+        self.runs = if is_apart { Runs::Apart } else { Runs::Harmless };
+        let is_dragged = is_apart && context.timed;
         let is_as_planned = match self.plan.sync {
-            true => running.has_period(clock.period_ns),
-            false => !running.is_cyclic(),
+            true => running.sync.has_period(clock.period_ns),
+            false => !running.sync.is_cyclic(),
         };
         match refused {
             Note::None if is_as_planned && !is_dragged => self.enter(now, Step::FoundFmmus),
             Note::None => self.not_joinable(now),
             refused => self.leave_running(now, refused),
         }
-        (running.is_cyclic() && !context.has_time).then_some(running)
+        (running.sync.is_cyclic() && !context.has_time).then_some(running)
     }
 
     /// It is part of the exchange: its PDOs and mode have still to be read.
     pub(super) fn join(&mut self, now: Time) {
-        (self.way.joined, self.known, self.found_mode) = (true, true, None);
+        (self.way.joined, self.tie, self.found_mode) = (true, self.tie.max(Tie::Known), None);
         (self.way.mapped, self.way.mailbox_open) = (Mapped::Inputs, self.plan.mailbox.is_some());
-        self.clock_set = self.plan.sync && !self.other_time;
+        self.clock_set = self.plan.sync && self.runs != Runs::Apart;
         self.way.al = Some(AlState::Op);
-        self.enter(now, Step::Objects { list: List::Found, next: 0, begun: false });
+        self.enter(now, Step::list(List::Found));
     }
 
     /// All of it is as configured.

@@ -2,11 +2,10 @@
 //! compared, and given back; by its identification, which is requested with its present state.
 
 use super::receive::al;
-use super::request::AL_LOOK;
 use super::{Context, Note, Slave, Step};
 use crate::sii::{Head, Managers, Reader};
-use crate::slot::{Answer, Answers, Ask};
-use crate::wire::registers::{AlState, AlStatus, address};
+use crate::slot::{Answer, Answers};
+use crate::wire::registers::{AlState, AlStatus};
 use crate::wire::sii::{self, Fault};
 use fieldbeat_core::time::{MS, Time};
 
@@ -45,18 +44,8 @@ impl Slave {
     }
 
     /// AL control of its present state.
-    fn present(&self) -> AlStatus {
+    pub(super) fn present(&self) -> AlStatus {
         self.acknowledge.unwrap_or(AlStatus::request(self.way.al.unwrap_or_default()))
-    }
-
-    pub(super) fn request_identification(&self, ask: &mut Ask) {
-        let control = AlStatus(self.present().0 | AlStatus::IDENTIFICATION);
-        ask.write(self.writes(address::AL_CONTROL), &control.0.to_le_bytes());
-        ask.read(self.reads(address::AL_STATUS), AL_LOOK);
-    }
-
-    pub(super) fn request_no_identification(&self, ask: &mut Ask) {
-        ask.write(self.writes(address::AL_CONTROL), &self.present().0.to_le_bytes());
     }
 
     /// Its AL status, in whose code the identification is once it says so.

@@ -46,13 +46,14 @@ mod sync;
 
 use self::objects::List;
 pub use self::step::Missing;
-use self::step::{Change, Pause, Setting, Step};
+use self::step::{Change, Pause, Phase, Setting, Step};
 use super::clock::SegmentClock;
 use super::note::Note;
 use crate::image::Offsets;
 use crate::mode::Mode;
 use crate::plan::{Owner, SlavePlan, Start};
 use crate::sii::Managers;
+use crate::slot::Ask;
 use crate::wire::frame::{Command, position};
 use crate::wire::registers::{AlState, AlStatus, Features};
 use fieldbeat_core::axis::FoundRunning;
@@ -96,10 +97,9 @@ pub struct Context<'a> {
     pub has_time: bool,
     /// How many slaves the broadcast counts in this answer's frame.
     pub counted: u16,
-    /// The other slave of this segment that has the station address in this answer, by its position.
+    /// The other slave of this segment that has the station address in this answer, by its position; or else one that
+    /// was given it, and may not be reached by it any more.
     pub in_use: Option<u16>,
-    /// The same of one that was given this address, and may not be reached by it any more.
-    pub given: Option<u16>,
     /// The request to which this is the answer, or a part of it, was not carried out.
     pub missing: Option<Missing>,
     /// The longest wait of a slave for its turn, ns.
@@ -160,6 +160,30 @@ pub struct Way {
     pub al: Option<AlState>,
 }
 
+/// The time that a slave runs on.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Runs {
+    /// It was not read yet, since it was away: it may run on any.
+    #[default]
+    Unknown,
+    /// The segment's or none; or it does not answer.
+    Harmless,
+    /// Another one than the segment's, as far as is known.
+    Apart,
+}
+
+/// What this master has made of a slave.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+enum Tie {
+    /// Nothing.
+    #[default]
+    None,
+    /// It was given its station address, and has not been switched off since.
+    Known,
+    /// All of it was set up here, too, and nothing has contradicted that since.
+    Ours,
+}
+
 /// One slave of the segment.
 #[derive(Debug)]
 pub struct Slave {
@@ -199,20 +223,15 @@ pub struct Slave {
     pub clock_set: bool,
     /// How much later than the first slave it receives, ns; `None`: it has been away since that was found.
     pub delay_ns: Option<u32>,
-    /// It was read, or does not answer.
-    pub looked_at: bool,
+    /// The time that it runs on.
+    pub runs: Runs,
     /// How many slaves the broadcast counted when it was read.
     counted: u16,
     /// The same when it last answered by its own station address.
     counted_as_ours: u16,
-    /// It runs on a time other than the segment's, as far as is known.
-    pub other_time: bool,
-    /// It was given its station address, and has not been switched off since.
-    known: bool,
+    tie: Tie,
     /// It was given its station address by this master, and as far as is known the same slave still has it.
     given: bool,
-    /// All of it was set up here, and nothing has contradicted that since.
-    ours: bool,
     /// The orderly end has begun: it is being shut down.
     ending: bool,
     /// Objects that are read before its outputs count, since these carry its own values.
@@ -236,8 +255,6 @@ pub struct Slave {
     moved_at: Time,
     /// The state last reported.
     pub reported: Option<AlState>,
-    /// Its mailbox was opened.
-    pub is_open: bool,
     /// Its AL status in the newest frame; 0: none.
     pub shown: AlStatus,
     /// It was in OP with all of its process data, which was reported, and the newest frame shows the same.
@@ -277,13 +294,11 @@ impl Slave {
             watched: true,
             clock_set: false,
             delay_ns: None,
-            looked_at: false,
+            runs: Runs::default(),
             counted: 0,
             counted_as_ours: 0,
-            other_time: false,
-            known: false,
+            tie: Tie::default(),
             given: false,
-            ours: false,
             ending: false,
             own: Box::default(),
             has_own: false,
@@ -296,7 +311,6 @@ impl Slave {
             refusals: 0,
             moved_at: Time(0),
             reported: None,
-            is_open: false,
             shown: AlStatus::default(),
             steady: false,
             missing: 0,
@@ -373,6 +387,16 @@ impl Slave {
         self.delay_ns.is_none() && matches!(self.step, Step::Time)
     }
 
+    /// Requests so many bytes from this register on.
+    fn read(&self, register: u16, length: usize, ask: &mut Ask) {
+        ask.read(self.reads(register), length);
+    }
+
+    /// Requests that these bytes are written there.
+    fn write(&self, register: u16, bytes: &[u8], ask: &mut Ask) {
+        ask.write(self.writes(register), bytes);
+    }
+
     fn reads(&self, register: u16) -> Command {
         if self.way.addressed {
             Command::Fprd(self.station(), register)
@@ -401,8 +425,11 @@ impl Slave {
 
     /// It cannot be used as it is.
     fn refuse(&mut self, now: Time, note: Note) {
-        (self.ours, self.looked_at, self.refused) = (false, true, note);
-        (self.way, self.note) = (Way::default(), note);
+        self.doubt();
+        if self.runs == Runs::Unknown {
+            self.runs = Runs::Apart;
+        }
+        (self.way, self.note, self.refused) = (Way::default(), note, note);
         let pause_ns = (REFUSED_FOR_NS << self.refusals.min(5)).min(REFUSED_MOST_NS);
         self.refusals = self.refusals.saturating_add(1);
         let pause = Pause { until: now + pause_ns, next: now + LOOK_EVERY_NS, seen: None };
@@ -425,8 +452,7 @@ impl Slave {
 
     /// No slave answers at its position; so many the broadcast counts.
     fn absent(&mut self, now: Time, counted: u16) {
-        (self.clock_set, self.looked_at, self.other_time) = (false, true, false);
-        self.delay_ns = None;
+        (self.clock_set, self.runs, self.delay_ns) = (false, Runs::Harmless, None);
         (self.refused, self.refusals) = (Note::None, 0);
         let note = if counted > self.plan.place { Note::Unreachable(counted) } else { Note::Absent };
         self.start_over(now, LOOK_EVERY_NS, note);
@@ -439,13 +465,18 @@ impl Slave {
 
     /// What was meant for another slave may have been written to it: it is looked at, and set up anew.
     pub fn doubted(&mut self, now: Time) {
-        self.ours = false;
+        self.doubt();
         self.lost(now);
+    }
+
+    /// Its settings may be others than those that were made here.
+    fn doubt(&mut self) {
+        self.tie = self.tie.min(Tie::Known);
     }
 
     /// The frames no longer reach it.
     pub fn lost(&mut self, now: Time) {
-        (self.clock_set, self.looked_at, self.delay_ns) = (false, false, None);
+        (self.clock_set, self.runs, self.delay_ns) = (false, Runs::Unknown, None);
         self.start_over(now, 0, Note::Absent);
     }
 

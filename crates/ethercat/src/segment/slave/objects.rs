@@ -7,7 +7,7 @@ use crate::object::number::{MODE_DISPLAY, STATUS_WORD};
 use crate::plan::Start;
 use crate::service::{Failure, Service};
 use crate::wire::registers::AlState;
-use crate::wire::sdo::{AbortCode, Object};
+use crate::wire::sdo::AbortCode;
 use fieldbeat_core::bus::cia402::StatusWord;
 use fieldbeat_core::time::{MS, Time};
 
@@ -70,53 +70,45 @@ impl Slave {
         let mask = u32::MAX >> (32 - 8 * start.kind.bytes().min(4));
         let wanted = (start.raw as u32).saturating_mul(std::mem::replace(&mut self.factor, 1));
         match end {
-            Ok(found) if list == List::Power => match StatusWord(found as u16).state().is_powered() {
-                true => self.has_power(now),
-                false => self.set_up(now, None),
-            },
-            Ok(found) if list == List::Mode => {
-                self.found_mode = Some(Mode(found as u8 as i8));
-                self.step = Step::Objects { list, next: next + 1, begun: false };
-            }
-            Ok(found) if list == List::Own => {
-                if let Some(own) = self.own.get_mut(next) {
-                    own.raw = (found & mask).into();
+            Ok(found) => match list {
+                List::Power if StatusWord(found as u16).state().is_powered() => return self.has_power(now),
+                List::Power => return self.set_up(now, None),
+                List::Mode => self.found_mode = Some(Mode(found as u8 as i8)),
+                List::Own => {
+                    if let Some(own) = self.own.get_mut(next) {
+                        own.raw = (found & mask).into();
+                    }
                 }
-                self.step = Step::Objects { list, next: next + 1, begun: false };
-            }
-            Ok(found) if list != List::Write && is_factor => {
-                self.factor = found.max(1);
-                self.step = Step::Objects { list, next: next + 1, begun: false };
-            }
-            Ok(found) if list != List::Write && (found ^ wanted) & mask != 0 => {
-                self.differs(now, list, object, found);
-            }
+                List::Verify | List::Found if is_factor => self.factor = found.max(1),
+                List::Found if (found ^ wanted) & mask != 0 => return self.not_joinable(now),
+                List::Verify if (found ^ wanted) & mask != 0 => {
+                    return self.refuse(now, Note::Differs { object, found });
+                }
+                List::Write | List::Verify | List::Found => {}
+            },
             // An object that a slave does not have, or does not report, cannot contradict; a drive has to report
             // its PDOs.
-            Err(Failure::Abort(_)) if matches!(list, List::Verify | List::Power | List::Mode) => {
-                self.step = Step::Objects { list, next: next + 1, begun: false };
-            }
-            Ok(_) => self.step = Step::Objects { list, next: next + 1, begun: false },
+            Err(Failure::Abort(_)) if matches!(list, List::Verify | List::Power | List::Mode) => {}
             Err(Failure::Abort(abort)) if start.optional && abort.is_of_optional() => {
                 self.omitted = Note::Omitted { object, abort };
-                self.step = Step::Objects { list, next: next + 1, begun: false };
             }
             Err(_) if self.way.joined || matches!(list, List::Power | List::Found | List::Mode) => {
-                self.not_joinable(now);
+                return self.not_joinable(now);
             }
             Err(Failure::Abort(abort)) if list == List::Own => {
-                self.refuse(now, Note::OwnValue { object, abort });
+                return self.refuse(now, Note::OwnValue { object, abort });
             }
-            Err(Failure::Abort(abort)) => self.refuse(now, Note::StartUp { object, abort }),
+            Err(Failure::Abort(abort)) => return self.refuse(now, Note::StartUp { object, abort }),
             Err(Failure::Unusable(status)) => {
-                self.list_again(now, Note::StartUp { object, abort: AbortCode(status) });
+                return self.list_again(now, Note::StartUp { object, abort: AbortCode(status) });
             }
             Err(Failure::GivenUp(_)) => {
                 let within_ms = u32::try_from(self.plan.sdo_timeout_ns / MS).unwrap_or(u32::MAX);
                 let writes = list == List::Write;
-                self.list_again(now, Note::Unanswered { object, writes, within_ms });
+                return self.list_again(now, Note::Unanswered { object, writes, within_ms });
             }
         }
+        self.step = Step::Objects { list, next: next + 1, begun: false };
     }
 
     /// The slave stays in PREOP, if it is there, and the list begins anew: what was written is written once more.
@@ -130,27 +122,17 @@ impl Slave {
     }
 
     fn all_objects(&mut self, now: Time, list: List) {
-        match list {
-            List::Write => self.enter(now, Step::Objects { list: List::Verify, next: 0, begun: false }),
-            List::Verify | List::Found => {
-                self.enter(now, Step::Objects { list: List::Own, next: 0, begun: false });
-            }
+        let next = match list {
+            List::Write => Step::list(List::Verify),
+            List::Verify | List::Found => Step::list(List::Own),
             List::Own => {
                 self.has_own = true;
-                let mode = Step::Objects { list: List::Mode, next: 0, begun: false };
-                self.enter(now, if self.way.joined { mode } else { self.process_data() });
+                if self.way.joined { Step::list(List::Mode) } else { self.process_data() }
             }
-            List::Power => self.has_power(now),
-            List::Mode => self.joined_whole(now),
-        }
-    }
-
-    fn differs(&mut self, now: Time, list: List, object: Object, found: u32) {
-        if list == List::Found {
-            self.not_joinable(now);
-        } else {
-            self.refuse(now, Note::Differs { object, found });
-        }
+            List::Power => return self.has_power(now),
+            List::Mode => return self.joined_whole(now),
+        };
+        self.enter(now, next);
     }
 }
 
@@ -160,6 +142,7 @@ mod tests {
     use super::*;
     use crate::image::Offsets;
     use crate::plan::{Area, Owner, SlavePlan};
+    use crate::wire::sdo::Object;
     use fieldbeat_core::axis::FoundRunning;
 
     #[test]
@@ -174,7 +157,7 @@ mod tests {
         let mut slave = Slave::new(owner, &plan, Offsets::default(), true, FoundRunning::Stop);
         let now = Time(0);
         for list in 1..=LISTS {
-            slave.step = Step::Objects { list: List::Write, next: 0, begun: false };
+            slave.step = Step::list(List::Write);
             slave.objects(now, Some(&mut service));
             slave.objects(now, Some(&mut service));
             let note = Note::Unanswered { object, writes: true, within_ms: 2_000 };

@@ -3,7 +3,7 @@
 use super::request::AL_LOOK;
 use super::setup::WATCHDOG_DIVIDER;
 use super::step::Resumes;
-use super::{Change, Context, FMMUS_AT_ONCE, Happened, List, Mapped, Note, Slave, Step};
+use super::{Change, Context, FMMUS_AT_ONCE, Happened, List, Mapped, Note, Phase, Runs, Slave, Step, Tie};
 use crate::segment::running::Running;
 use crate::sii::Reading;
 use crate::slot::Answers;
@@ -39,7 +39,7 @@ impl Slave {
         // AL control may still be unread by the firmware, and not accept a second request; usually nobody else has
         // its station address.
         let may_be_zero = match self.step {
-            Step::State(Change { said: false, looks: false, .. }) => true,
+            Step::State(Change { phase: Phase::Asks, .. }) => true,
             Step::SiiForce | Step::SiiTake { .. } | Step::SiiBack { .. } => true,
             Step::Identification | Step::Identified { .. } => true,
             Step::Sii(reader) => reader.writes(),
@@ -52,7 +52,7 @@ impl Slave {
             if matches!(self.step, Step::Look | Step::There(_) | Step::Refused(_)) {
                 self.absent(now, context.counted);
             } else if self.silent >= SILENT {
-                self.silent(now, missing);
+                self.enter(now, Step::There(missing));
             }
             return Happened::Nothing;
         }
@@ -157,9 +157,12 @@ impl Slave {
     /// A change of state continues: the request was accepted, or the status was read.
     fn went(&mut self, now: Time, mut change: Change, answers: &Answers<'_>) -> Happened {
         let Some(first) = answers[0] else { return Happened::Nothing };
-        if !change.said {
-            let is_there = first.working_counter > 0;
-            (change.said, change.looks) = (is_there && !change.looks, !is_there);
+        if change.phase != Phase::Waits {
+            change.phase = match change.phase {
+                _ if first.working_counter == 0 => Phase::Looks,
+                Phase::Asks => Phase::Waits,
+                _ => Phase::Asks,
+            };
             self.step = Step::State(change);
             return Happened::Nothing;
         }
@@ -170,11 +173,13 @@ impl Slave {
             return self.refused_state(now, change, status, code);
         }
         if change.acknowledge.take().is_some() {
-            change.said = false;
+            change.phase = Phase::Asks;
         }
         self.step = Step::State(change);
         match status.state() {
-            Some(state) if state == change.to && change.said => return self.reached(now, state),
+            Some(state) if state == change.to && change.phase == Phase::Waits => {
+                return self.reached(now, state);
+            }
             // It has lost a precondition of OP.
             Some(state) if change.to == AlState::Op && state < AlState::SafeOp => {
                 self.start_over(now, 0, Note::Starting);
@@ -196,7 +201,7 @@ impl Slave {
         }
         self.note = note;
         change.errors += 1;
-        (change.acknowledge, change.said) = (Some(acknowledging(status)), false);
+        (change.acknowledge, change.phase) = (Some(acknowledging(status)), Phase::Asks);
         self.step = Step::State(change);
         Happened::Error
     }
@@ -205,11 +210,11 @@ impl Slave {
         self.note = Note::Starting;
         match state {
             AlState::PreOp => {
-                (self.way.mailbox_open, self.known) = (self.plan.mailbox.is_some(), true);
-                self.enter(now, Step::Objects { list: List::Write, next: 0, begun: false });
+                (self.way.mailbox_open, self.tie) = (self.plan.mailbox.is_some(), self.tie.max(Tie::Known));
+                self.enter(now, Step::list(List::Write));
             }
             AlState::SafeOp => {
-                (self.way.al, self.ours, self.watched) = (Some(AlState::SafeOp), true, true);
+                (self.way.al, self.tie, self.watched) = (Some(AlState::SafeOp), Tie::Ours, true);
                 self.remark = match self.refused {
                     Note::Intruded => Note::Intruded,
                     _ => self.unarmed(),
@@ -228,7 +233,7 @@ impl Slave {
                 self.start_over(now, 0, Note::None);
             }
             AlState::Init | AlState::Boot => {
-                (self.way.mailbox_open, self.looked_at, self.other_time) = (false, true, false);
+                (self.way.mailbox_open, self.runs) = (false, Runs::Harmless);
                 self.enter(now, Step::Ports);
             }
         }

@@ -1,14 +1,17 @@
 //! The request of each step.
 
-use super::{Change, Context, FMMUS_AT_ONCE, MANAGERS_AT_ONCE, Mapped, Note, Pause, Setting, Slave, Step};
+use super::{
+    Change, Context, FMMUS_AT_ONCE, MANAGERS_AT_ONCE, Mapped, Note, Pause, Phase, Setting, Slave, Step,
+};
 use crate::plan::Owner;
+use crate::segment::running::Running;
 use crate::slot::Ask;
-use crate::wire::frame::Command;
+use crate::wire::frame::{Command, position};
 use crate::wire::registers::{AlState, AlStatus, Fmmu, SyncManager, address};
 use crate::wire::sii;
 use fieldbeat_core::time::{MS, Time};
 
-use super::setup::WATCHDOG_DIVIDER;
+use super::setup::{WATCHDOG_DIVIDER, WATCHDOGS};
 use super::sync::{TIME, sync_ahead_ns};
 
 /// Bytes from its type to its station address.
@@ -20,6 +23,8 @@ pub(super) const AL_LOOK: usize = 6;
 pub(super) const EMULATION_AT: usize = (address::EMULATION - address::AL_STATUS) as usize;
 /// From AL control to AL status.
 pub(super) const CONTROL: usize = (address::AL_STATUS - address::AL_CONTROL) as usize;
+/// SyncManagers of a drive in OP that are read.
+const MANAGERS_FOUND: usize = 4;
 /// A drive for which OP is requested before it has seen regular cycles for a while goes into a fault (F28); how
 /// many it needs is assumed.
 const SYNCHRONISE_CYCLES: u64 = 200;
@@ -52,78 +57,96 @@ impl Slave {
             }
             Step::Refused(Pause { next, .. }) if now < next => {}
             Step::Look | Step::Refused(_) => {
-                ask.read(self.reads(address::AL_CONTROL), CONTROL + EMULATION_AT + 1);
+                self.read(address::AL_CONTROL, CONTROL + EMULATION_AT + 1, ask);
                 let alias = if self.plan.identity.alias.is_some() { ALIAS } else { 0 };
-                ask.read(self.reads(address::TYPE), LOOK + alias);
+                self.read(address::TYPE, LOOK + alias, ask);
             }
             Step::Twin { station, .. } => {
                 ask.read(Command::Fprd(station, address::STATION), 2);
             }
             Step::Unaddress => {
-                ask.write(self.writes(address::STATION), &[0; 2]);
+                self.write(address::STATION, &[0; 2], ask);
                 // If it was set up with this address, it must not carry out the outputs of the one that has it now.
                 self.request_unmap(0, ask);
             }
-            Step::There(_) => self.request_there(ask),
-            Step::Unmap(done) => self.request_unmap(done, ask),
-            Step::FoundClock { .. } => self.request_running(ask),
-            Step::SiiForce => {
-                ask.write(self.writes(address::SII_OWNER), &[sii::FORCE]);
+            Step::There(_) => {
+                let place = position(self.plan.place);
+                ask.read(Command::Aprd(place, address::AL_STATUS), 2);
+                ask.read(Command::Aprd(place, address::STATION), 2);
             }
+            Step::Unmap(done) => self.request_unmap(done, ask),
+            Step::FoundClock { .. } => Running::request(|register| self.reads(register), ask),
+            Step::SiiForce => self.write(address::SII_OWNER, &[sii::FORCE], ask),
             Step::SiiTake { .. } => {
-                ask.write(self.writes(address::SII_OWNER), &[sii::MASTER]);
-                ask.read(self.reads(address::SII_OWNER), 2);
+                self.write(address::SII_OWNER, &[sii::MASTER], ask);
+                self.read(address::SII_OWNER, 2, ask);
             }
             Step::SiiBack { refused } => {
-                ask.write(self.writes(address::SII_OWNER), &[sii::PROCESSOR]);
+                self.write(address::SII_OWNER, &[sii::PROCESSOR], ask);
                 if refused == Note::None && !self.may_be_found() && !self.ending {
-                    ask.write(self.writes(address::EVENT_MASK), &EVENT_MASK.to_le_bytes());
+                    self.write(address::EVENT_MASK, &EVENT_MASK.to_le_bytes(), ask);
                 }
             }
             Step::Sii(reader) => {
                 reader.request(|register| self.reads(register), |register| self.writes(register), ask);
             }
-            Step::Identification => self.request_identification(ask),
-            Step::Identified { .. } => self.request_no_identification(ask),
-            Step::Found => self.request_found(ask),
-            Step::FoundFmmus => self.request_found_fmmus(ask),
-            Step::Check { resumes, part } => self.request_check(resumes, part, ask),
-            Step::Join => self.request_join(ask),
+            Step::Identification => {
+                let control = self.present().0 | AlStatus::IDENTIFICATION;
+                self.write(address::AL_CONTROL, &control.to_le_bytes(), ask);
+                self.read(address::AL_STATUS, AL_LOOK, ask);
+            }
+            Step::Identified { .. } => {
+                self.write(address::AL_CONTROL, &self.present().0.to_le_bytes(), ask);
+            }
+            Step::Found => {
+                self.read(address::SYNC_MANAGER, MANAGERS_FOUND * SyncManager::SIZE, ask);
+                self.read(address::WATCHDOG_DIVIDER, WATCHDOGS, ask);
+            }
+            Step::FoundFmmus => self.read(address::FMMU, self.fmmus().1, ask),
+            Step::Check { resumes, part } => {
+                let (register, length) = self.registers_of(part, resumes);
+                self.read(register, length, ask);
+            }
+            Step::Join => {
+                // Its inputs and AL status; after the FMMU of its outputs.
+                let (fmmus, length) = self.fmmus();
+                let behind = self.output_fmmus() * Fmmu::SIZE;
+                self.write(address::FMMU + behind as u16, &fmmus[behind..length], ask);
+            }
             Step::Ports => {
                 // Each loop by itself; no alias.
-                ask.write(self.writes(address::PORT_LOOPS), &[0]);
-                ask.write(self.writes(address::ALIAS_ENABLE), &[0]);
+                self.write(address::PORT_LOOPS, &[0], ask);
+                self.write(address::ALIAS_ENABLE, &[0], ask);
             }
             Step::Clear(done) => self.request_clear(done, ask),
-            Step::Free { .. } | Step::Misplaced => self.request_free(ask),
-            Step::Address { .. } => self.request_address(ask),
-            Step::Mailbox => {
-                for (number, manager) in self.mailbox_managers() {
-                    ask.write(self.writes(address::sync_manager(number)), &manager.to_bytes());
-                }
+            Step::Free { .. } | Step::Misplaced => {
+                // Whoever has its station address loses it, as an alias too.
+                ask.write(Command::Fpwr(self.station(), address::ALIAS_ENABLE), &[0]);
+                ask.write(Command::Fpwr(self.station(), address::STATION), &[0; 2]);
             }
+            Step::Address { .. } => {
+                self.write(address::STATION, &self.station().to_le_bytes(), ask);
+                ask.read(Command::Fprd(self.station(), address::STATION), 2);
+            }
+            Step::Mailbox => self.request_managers(self.mailbox_managers(), ask),
             Step::Objects { .. } => {}
             Step::Watchdog => {
-                ask.write(self.writes(address::WATCHDOG_DIVIDER), &WATCHDOG_DIVIDER.to_le_bytes());
-                ask.write(self.writes(address::WATCHDOG), &self.watchdog().to_le_bytes());
+                self.write(address::WATCHDOG_DIVIDER, &WATCHDOG_DIVIDER.to_le_bytes(), ask);
+                self.write(address::WATCHDOG, &self.watchdog().to_le_bytes(), ask);
             }
             Step::WatchdogCheck => {
-                ask.read(self.reads(address::WATCHDOG_DIVIDER), 2);
-                ask.read(self.reads(address::WATCHDOG), 2);
+                self.read(address::WATCHDOG_DIVIDER, 2, ask);
+                self.read(address::WATCHDOG, 2, ask);
             }
-            Step::SyncManagers(from) => {
-                for (number, manager) in self.managers_from(from) {
-                    ask.write(self.writes(address::sync_manager(number)), &manager.to_bytes());
-                }
-            }
+            Step::SyncManagers(from) => self.request_managers(self.managers_from(from), ask),
             Step::SyncManagersCheck(from) => {
                 for (number, _) in self.managers_from(from) {
-                    ask.read(self.reads(address::sync_manager(number)), SyncManager::SIZE);
+                    self.read(address::sync_manager(number), SyncManager::SIZE, ask);
                 }
             }
             Step::Fmmus | Step::Release => {
                 let (fmmus, length) = self.fmmus();
-                ask.write(self.writes(address::FMMU), &fmmus[..length]);
+                self.write(address::FMMU, &fmmus[..length], ask);
             }
             Step::Lock => self.request_lock(context, ask),
             Step::State(change) => self.request_state(now, change, ask),
@@ -137,9 +160,7 @@ impl Slave {
                     self.request(context, ask);
                 }
             }
-            Step::Code => {
-                ask.read(self.reads(address::AL_STATUS), AL_LOOK);
-            }
+            Step::Code => self.read(address::AL_STATUS, AL_LOOK, ask),
             _ => self.request_clock(context, ask),
         }
     }
@@ -155,8 +176,8 @@ impl Slave {
             Step::Time => {
                 let is_there = context.timed || self.is_reference(context) && context.may_begin;
                 if self.delay_ns.is_some() && is_there {
-                    ask.read(self.reads(address::DC_TIME), TIME);
-                    ask.write(self.writes(address::DC_FILTER), &FILTER_DEPTHS.to_le_bytes());
+                    self.read(address::DC_TIME, TIME, ask);
+                    self.write(address::DC_FILTER, &FILTER_DEPTHS.to_le_bytes(), ask);
                 }
                 self.note = match context.other_time {
                     _ if !ask.is_empty() => Note::Starting,
@@ -168,37 +189,37 @@ impl Slave {
                 let mut bytes = [0; 12];
                 bytes[..8].copy_from_slice(&offset.to_le_bytes());
                 bytes[8..].copy_from_slice(&delay_ns.to_le_bytes());
-                ask.write(self.writes(address::DC_OFFSET), &bytes);
-                ask.write(self.writes(address::DC_SPEED), &SPEED_START.to_le_bytes());
+                self.write(address::DC_OFFSET, &bytes, ask);
+                self.write(address::DC_SPEED, &SPEED_START.to_le_bytes(), ask);
             }
-            Step::Correct(_) => {
-                ask.read(self.reads(address::DC_DIFFERENCE), 4);
-            }
-            Step::Settle { next, .. } if context.cycle.grid >= next => {
-                ask.read(self.reads(address::DC_DIFFERENCE), 4);
-            }
+            Step::Settle { next, .. } if context.cycle.grid < next => {}
+            Step::Correct(_) | Step::Settle { .. } => self.read(address::DC_DIFFERENCE, 4, ask),
             Step::SegmentTime => {
                 // Its start must not be written while it is imminent.
-                ask.write(self.writes(address::DC_ACTIVATION), &[0]);
-                ask.read(self.reads(address::DC_TIME), 8);
+                self.write(address::DC_ACTIVATION, &[0], ask);
+                self.read(address::DC_TIME, 8, ask);
             }
             Step::SyncStart { ahead_ns, segment_ns } => {
-                let start = self.sync_start(ahead_ns, segment_ns);
-                ask.write(self.writes(address::DC_START), &start.to_le_bytes());
+                let start = self.whole(segment_ns.wrapping_add(ahead_ns));
+                self.write(address::DC_START, &start.to_le_bytes(), ask);
                 // SYNC1 stays off: its cycle is 0.
-                ask.write(self.writes(address::DC_CYCLE), &context.clock.period_ns.to_le_bytes());
+                self.write(address::DC_CYCLE, &context.clock.period_ns.to_le_bytes(), ask);
             }
-            Step::SyncOn { .. } => {
-                ask.write(self.writes(address::DC_CONTROL), &SYNC0_ON);
-            }
+            Step::SyncOn { .. } => self.write(address::DC_CONTROL, &SYNC0_ON, ask),
             _ => {}
+        }
+    }
+
+    fn request_managers(&self, managers: impl Iterator<Item = (u16, SyncManager)>, ask: &mut Ask) {
+        for (number, manager) in managers {
+            self.write(address::sync_manager(number), &manager.to_bytes(), ask);
         }
     }
 
     fn request_unmap(&self, done: u8, ask: &mut Ask) {
         const ZERO: [u8; FMMUS_AT_ONCE as usize * Fmmu::SIZE] = [0; FMMUS_AT_ONCE as usize * Fmmu::SIZE];
         let left = usize::from(self.fmmus.saturating_sub(done).min(FMMUS_AT_ONCE));
-        ask.write(self.writes(address::fmmu(done.into())), &ZERO[..left * Fmmu::SIZE]);
+        self.write(address::fmmu(done.into()), &ZERO[..left * Fmmu::SIZE], ask);
     }
 
     fn request_clear(&self, done: u8, ask: &mut Ask) {
@@ -210,14 +231,14 @@ impl Slave {
         let managers = usize::from(self.managers.saturating_sub(done).min(MANAGERS_AT_ONCE));
         if managers > 0 {
             let register = address::sync_manager(done.into());
-            ask.write(self.writes(register), &ZERO[..managers * SyncManager::SIZE]);
+            self.write(register, &ZERO[..managers * SyncManager::SIZE], ask);
         }
         if ask.is_empty() {
             // Without a clock these registers do not exist.
             if self.features.has_clock() {
-                ask.write(self.writes(address::DC_ACTIVATION), &[0]);
+                self.write(address::DC_ACTIVATION, &[0], ask);
             }
-            ask.write(self.writes(address::ERRORS), &[0; 8]);
+            self.write(address::ERRORS, &[0; 8], ask);
         }
     }
 
@@ -247,12 +268,11 @@ impl Slave {
             let within_ms = u32::try_from(limit_ns / MS).unwrap_or(u32::MAX);
             return self.refuse(now, Note::Slow { to: change.to, within_ms });
         }
-        if change.said || change.looks {
-            ask.read(self.reads(address::AL_STATUS), AL_LOOK);
-            return;
+        if change.phase != Phase::Asks {
+            return self.read(address::AL_STATUS, AL_LOOK, ask);
         }
         let control = change.acknowledge.unwrap_or(AlStatus::request(change.to));
-        ask.write(self.writes(address::AL_CONTROL), &control.0.to_le_bytes());
+        self.write(address::AL_CONTROL, &control.0.to_le_bytes(), ask);
     }
 
     /// Its outputs are released.

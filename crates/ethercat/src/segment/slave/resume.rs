@@ -3,24 +3,19 @@
 //! others, and may have put the slave into any state; what is resumed unseen would then never come into operation, or
 //! exchange the process data of somebody else.
 
-use super::found::WATCHDOGS;
-use super::setup::WATCHDOG_DIVIDER;
+use super::setup::{WATCHDOGS, are_set};
 use super::step::Resumes;
-use super::{Context, Happened, Mapped, Note, Slave, Step};
-use crate::slot::Ask;
+use super::{Context, Happened, Mapped, Note, Runs, Slave, Step, Tie};
+use crate::segment::running::{SYNC, Sync0};
 use crate::wire::registers::{AlState, AlStatus, Fmmu, SyncManager, address};
 use fieldbeat_core::time::Time;
 
-/// From the cyclic unit to the cycle of SYNC0.
-const SYNC: usize = (address::DC_CYCLE - address::DC_CONTROL) as usize + 4;
 /// FMMUs that are read back: there are 16 at most (ETG.1000.4, 0600h ... 06FFh).
 const FMMUS_MOST: u8 = 16;
-/// Cyclic operation and SYNC0 are on.
-const SYNC0: u8 = 3;
 
 /// What is read back, one part in a slot.
-#[derive(Clone, Copy, Debug)]
-enum Part {
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd)]
+pub(super) enum Part {
     Managers,
     Fmmus,
     Watchdog,
@@ -33,8 +28,10 @@ impl Slave {
     /// It was set up here, and its frames were lost for a while only: it continues once that was read back. False: it
     /// has to be brought up.
     pub(super) fn goes_on(&mut self, now: Time) -> bool {
-        let Some(al) = self.way.al.filter(|al| self.ours && *al >= AlState::SafeOp) else { return false };
-        (self.looked_at, self.other_time) = (true, false);
+        let Some(al) = self.way.al.filter(|al| self.tie == Tie::Ours && *al >= AlState::SafeOp) else {
+            return false;
+        };
+        self.runs = Runs::Harmless;
         (self.way.addressed, self.way.mailbox_open) = (true, self.plan.mailbox.is_some());
         let resumes = match al {
             AlState::Op => Resumes::Op,
@@ -60,47 +57,36 @@ impl Slave {
         let is_lowered =
             station == self.station() && !status.error() && is_below(status) && is_below(requested);
         let is_same_line = counted == self.counted_as_ours;
-        self.ours && (is_lowered || is_same_line && !matches!(station, 0) && station != self.station())
+        self.tie == Tie::Ours
+            && (is_lowered || is_same_line && !matches!(station, 0) && station != self.station())
     }
 
     /// What was set up here is read back first.
     pub(super) fn check(&mut self, now: Time, resumes: Resumes) {
-        self.check_from(now, resumes, 0);
+        self.check_after(now, resumes, None);
     }
 
-    /// The first part from this one on that it has; without any it is resumed.
-    fn check_from(&mut self, now: Time, resumes: Resumes, from: usize) {
-        let parts = (from..).zip(PARTS.get(from..).unwrap_or_default());
-        match parts.into_iter().find(|(_, part)| self.bytes_of(**part, resumes) > 0) {
-            Some((part, _)) => self.enter(now, Step::Check { resumes, part }),
+    /// The first part behind this one that it has; without any it is resumed.
+    fn check_after(&mut self, now: Time, resumes: Resumes, done: Option<Part>) {
+        let mut left = PARTS.into_iter().filter(|part| Some(*part) > done);
+        match left.find(|part| self.registers_of(*part, resumes).1 > 0) {
+            Some(part) => self.enter(now, Step::Check { resumes, part }),
             None => self.resume(now, resumes),
         }
     }
 
-    /// Bytes of a part; 0: it has none, or it does not matter.
-    fn bytes_of(&self, part: Part, resumes: Resumes) -> usize {
+    /// Where a part begins, and its bytes; 0: it has none, or it does not matter.
+    pub(super) fn registers_of(&self, part: Part, resumes: Resumes) -> (u16, usize) {
         let is_cyclic = self.plan.sync && resumes == Resumes::Op;
         match part {
             Part::Managers => {
                 let end = self.all_managers().map(|(number, _)| usize::from(number) + 1).max();
-                end.unwrap_or(0) * SyncManager::SIZE
+                (address::SYNC_MANAGER, end.unwrap_or(0) * SyncManager::SIZE)
             }
-            Part::Fmmus => usize::from(self.fmmus.min(FMMUS_MOST)) * Fmmu::SIZE,
-            Part::Watchdog if self.sets_watchdog() => WATCHDOGS,
-            Part::Sync if is_cyclic => SYNC,
-            Part::Watchdog | Part::Sync => 0,
+            Part::Fmmus => (address::FMMU, usize::from(self.fmmus.min(FMMUS_MOST)) * Fmmu::SIZE),
+            Part::Watchdog => (address::WATCHDOG_DIVIDER, if self.sets_watchdog() { WATCHDOGS } else { 0 }),
+            Part::Sync => (address::DC_CONTROL, if is_cyclic { SYNC } else { 0 }),
         }
-    }
-
-    pub(super) fn request_check(&self, resumes: Resumes, part: usize, ask: &mut Ask) {
-        let Some(part) = PARTS.get(part) else { return };
-        let register = match part {
-            Part::Managers => address::SYNC_MANAGER,
-            Part::Fmmus => address::FMMU,
-            Part::Watchdog => address::WATCHDOG_DIVIDER,
-            Part::Sync => address::DC_CONTROL,
-        };
-        ask.read(self.reads(register), self.bytes_of(*part, resumes));
     }
 
     /// A part of its settings was read back.
@@ -108,44 +94,27 @@ impl Slave {
         &mut self,
         context: &Context<'_>,
         resumes: Resumes,
-        part: usize,
+        part: Part,
         data: &[u8],
     ) -> Happened {
         let now = context.cycle.grid;
-        let is_as_set = match PARTS.get(part) {
-            Some(Part::Managers) => self.has_managers(data),
-            Some(Part::Fmmus) => self.has_fmmus(data),
-            Some(Part::Watchdog) => {
-                let word = |at: usize| data.get(at..).and_then(<[u8]>::first_chunk::<2>).copied();
-                let wanted = [WATCHDOG_DIVIDER, self.watchdog()].map(|word| Some(word.to_le_bytes()));
-                [word(0), word(WATCHDOGS - 2)] == wanted
-            }
-            Some(Part::Sync) => has_sync(data, context.clock.period_ns),
-            None => true,
+        let is_as_set = match part {
+            // The other bits of `activate` request a mailbox again.
+            Part::Managers => are_set(data, self.all_managers(), |found, wanted| {
+                SyncManager { activate: found.activate & 1, ..found } == wanted
+            }),
+            Part::Fmmus => self.has_fmmus(data),
+            Part::Watchdog => self.has_watchdog(data),
+            Part::Sync => Sync0::new(data).is_some_and(|sync| sync.has_period(context.clock.period_ns)),
         };
         if is_as_set {
-            self.check_from(now, resumes, part + 1);
+            self.check_after(now, resumes, Some(part));
             return Happened::Nothing;
         }
-        (self.ours, self.refused) = (false, Note::Intruded);
+        self.doubt();
+        self.refused = Note::Intruded;
         self.set_up(now, self.acknowledge);
         Happened::Intruded
-    }
-
-    fn all_managers(&self) -> impl Iterator<Item = (u16, SyncManager)> {
-        self.mailbox_managers().chain(self.managers())
-    }
-
-    fn has_managers(&self, data: &[u8]) -> bool {
-        self.all_managers().all(|(number, wanted)| {
-            let at = usize::from(number) * SyncManager::SIZE;
-            let bytes = data.get(at..).and_then(<[u8]>::first_chunk::<{ SyncManager::SIZE }>);
-            bytes.is_some_and(|bytes| {
-                let found = SyncManager::new(*bytes);
-                // The other bits request a mailbox again.
-                SyncManager { activate: found.activate & 1, ..found } == wanted
-            })
-        })
     }
 
     /// Its FMMUs are those of the plan, and all others are off.
@@ -173,11 +142,4 @@ impl Slave {
             }
         }
     }
-}
-
-/// SYNC0 is on with this period.
-fn has_sync(data: &[u8], period_ns: u64) -> bool {
-    let cycle = data.get(SYNC - 4..).and_then(<[u8]>::first_chunk::<4>);
-    let active = data.get(1).is_some_and(|active| active & SYNC0 == SYNC0);
-    active && cycle.is_some_and(|cycle| u64::from(u32::from_le_bytes(*cycle)) == period_ns)
 }

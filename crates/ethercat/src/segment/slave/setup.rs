@@ -14,6 +14,8 @@ pub(super) const WATCHDOG_DIVIDER: u16 = 0x09C2;
 const WATCHDOG_TICK_NS: u64 = 100_000;
 /// Its time at power-on, 100 ms (ETG.1000.4, 6.2).
 const WATCHDOG_DELIVERED: u16 = 1_000;
+/// From the divider of the watchdogs to that of the SyncManagers, bytes.
+pub(super) const WATCHDOGS: usize = (address::WATCHDOG - address::WATCHDOG_DIVIDER) as usize + 2;
 /// FMMUs of one slave: outputs, inputs, AL status.
 pub(super) const FMMUS: usize = 2 * MOST_AREAS + 1;
 
@@ -130,6 +132,11 @@ impl Slave {
         Ok(if is_last { Step::Fmmus } else { Step::SyncManagers(next) })
     }
 
+    /// Those of its mailboxes, and of its process data.
+    pub(super) fn all_managers(&self) -> impl Iterator<Item = (u16, SyncManager)> {
+        self.mailbox_managers().chain(self.managers())
+    }
+
     /// Those of its mailboxes.
     pub(super) fn mailbox_managers(&self) -> impl Iterator<Item = (u16, SyncManager)> {
         let uses = [(Use::MailboxOut, SyncManager::MAILBOX_OUT), (Use::MailboxIn, SyncManager::MAILBOX_IN)];
@@ -174,6 +181,13 @@ impl Slave {
         }
     }
 
+    /// The registers from the divider of the watchdogs on are as that is.
+    pub(super) fn has_watchdog(&self, data: &[u8]) -> bool {
+        let word = |at: usize| data.get(at..).and_then(<[u8]>::first_chunk::<2>).copied();
+        let wanted = [WATCHDOG_DIVIDER, self.watchdog()].map(|word| Some(word.to_le_bytes()));
+        [word(0), word(WATCHDOGS - 2)] == wanted
+    }
+
     /// A difference between the SII and the configuration.
     pub(super) fn contradicts(&self, head: &Head) -> Option<Note> {
         if self.plan.mailbox.is_some() && !head.protocols.coe() {
@@ -215,6 +229,17 @@ impl Slave {
         }
         unlisted.filter(|_| !is_free).map(|area| differing(usage, Area::default(), area))
     }
+}
+
+/// The SyncManagers that were read, from the first one on, are as `wanted`, by this comparison of one with its wanted one.
+pub(super) fn are_set(
+    data: &[u8],
+    mut wanted: impl Iterator<Item = (u16, SyncManager)>,
+    is_so: impl Fn(SyncManager, SyncManager) -> bool,
+) -> bool {
+    let (read, _) = data.as_chunks::<{ SyncManager::SIZE }>();
+    let found = |number: u16| read.get(usize::from(number)).map(|bytes| SyncManager::new(*bytes));
+    wanted.all(|(number, wanted)| found(number).is_some_and(|found| is_so(found, wanted)))
 }
 
 /// What the configuration has there and what the SII has; at 0 the one has none, or the other.

@@ -2,6 +2,7 @@
 
 use super::Note;
 use super::objects::List;
+use super::resume::Part;
 use crate::sii::{Managers, Reader};
 use crate::wire::registers::{AlCode, AlState, AlStatus};
 use fieldbeat_core::time::Time;
@@ -76,7 +77,7 @@ pub(super) enum Step {
     /// What was set up here is read back before it is resumed, this part of it.
     Check {
         resumes: Resumes,
-        part: usize,
+        part: Part,
     },
     /// Its time is read, its offset set by that, and corrected by what is left.
     Time,
@@ -139,22 +140,36 @@ pub(super) struct Pause {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Change {
     pub(super) to: AlState,
-    pub(super) said: bool,
-    /// The request was not accepted: whether the slave is there at all.
-    pub(super) looks: bool,
+    pub(super) phase: Phase,
     pub(super) errors: u8,
     /// Requested in its place, to acknowledge an error.
     pub(super) acknowledge: Option<AlStatus>,
 }
 
+/// How far a change of state is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Phase {
+    /// It is to be requested.
+    Asks,
+    /// The request was not accepted: whether the slave is there at all.
+    Looks,
+    /// It was requested.
+    Waits,
+}
+
 impl Step {
+    /// The first object of a list.
+    pub(super) fn list(list: List) -> Step {
+        Step::Objects { list, next: 0, begun: false }
+    }
+
     pub(super) fn to(state: AlState) -> Step {
         Step::acknowledged(state, None)
     }
 
     /// The same, after the error that it shows was acknowledged.
     pub(super) fn acknowledged(state: AlState, acknowledge: Option<AlStatus>) -> Step {
-        Step::State(Change { to: state, said: false, looks: false, errors: 0, acknowledge })
+        Step::State(Change { to: state, phase: Phase::Asks, errors: 0, acknowledge })
     }
 }
 

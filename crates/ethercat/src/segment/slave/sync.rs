@@ -142,11 +142,6 @@ impl Slave {
         self.enter(now, Step::SyncStart { ahead_ns, segment_ns });
     }
 
-    /// The start of SYNC0 by its own clock.
-    pub(super) fn sync_start(&self, ahead_ns: u64, segment_ns: u64) -> u64 {
-        self.whole(segment_ns.wrapping_add(ahead_ns))
-    }
-
     /// SYNC0 was switched on: its start must lie ahead, or there is none.
     pub(super) fn sync_on(&mut self, now: Time, context: &Context<'_>, segment_ns: u64) {
         let left = segment_ns.wrapping_sub(context.clock.time(context.cycle, context.sent_at)) as i64;
@@ -155,7 +150,7 @@ impl Slave {
     }
 
     /// A time that its clock can have.
-    fn whole(&self, ns: u64) -> u64 {
+    pub(super) fn whole(&self, ns: u64) -> u64 {
         if self.features.has_long_clock() { ns } else { u64::from(ns as u32) }
     }
 }
