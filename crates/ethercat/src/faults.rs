@@ -24,14 +24,14 @@ pub enum Clearing {
 impl Clearing {
     /// The clearing in an emergency; `None`: an unknown one, or the end of an error.
     pub const fn of(emergency: &Emergency) -> Option<Clearing> {
-        match emergency {
-            Emergency { code: 0, .. } => None,
-            Emergency { vendor: [1, ..], .. } => Some(Clearing::ColdStart),
-            Emergency { vendor: [2, ..], .. } => Some(Clearing::Reset),
-            Emergency { vendor: [3, ..], .. } => Some(Clearing::Pdo),
-            Emergency { vendor: [4, ..], .. } => Some(Clearing::Never),
-            Emergency { vendor: [5, ..], .. } => Some(Clearing::Warning),
-            Emergency { .. } => None,
+        match (emergency.code, emergency.vendor[0]) {
+            (0, _) => None,
+            (_, 1) => Some(Clearing::ColdStart),
+            (_, 2) => Some(Clearing::Reset),
+            (_, 3) => Some(Clearing::Pdo),
+            (_, 4) => Some(Clearing::Never),
+            (_, 5) => Some(Clearing::Warning),
+            _ => None,
         }
     }
 }

@@ -122,10 +122,10 @@ impl Mark {
     }
 }
 
-/// The result of comparing a returned frame with the sent one.
+/// The result of comparing a returned frame, or a datagram of it, with the sent one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Read {
-    /// It is the sent one; the working counter of its process data.
+    /// It is the sent one; the working counter of it, or of its process data.
     Good(u16),
     /// It is the sent one, but circulated without passing the master.
     Circulated,
@@ -368,12 +368,11 @@ impl Frame {
         let stays = self.states.map_or(FRAME_MAX, |states| states.at);
         for place in &self.places[..self.count] {
             match returned(&*self.bytes, received, *place, place.at < stays) {
-                Returned::Counted(counter) if *place == self.data || Some(*place) == self.read => {
+                Read::Good(counter) if *place == self.data || Some(*place) == self.read => {
                     count = count.saturating_add(counter);
                 }
-                Returned::Counted(_) => {}
-                Returned::Circulated => return Read::Circulated,
-                Returned::Other => return Read::Other,
+                Read::Good(_) => {}
+                other => return other,
             }
         }
         Read::Good(count)
@@ -400,20 +399,9 @@ impl Frame {
     }
 }
 
-/// The result of comparing a datagram with its reply.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Returned {
-    /// It is the reply, with this working counter.
-    Counted(u16),
-    /// It is the reply, but circulated without passing the master.
-    Circulated,
-    /// It is another one.
-    Other,
-}
-
 /// Compares the datagram at `place` of a received frame with the one sent there: everything that no slave changes
 /// has to be the same. `stays`: its address is not counted up by the slaves.
-pub fn returned(sent: &[u8], received: &[u8], place: Place, stays: bool) -> Returned {
+pub fn returned(sent: &[u8], received: &[u8], place: Place, stays: bool) -> Read {
     /// The bit of `CIRCULATED` in the first eight bytes; and the two lower ones of the address, in which a position
     /// is counted up.
     const WENT_ROUND: u64 = (CIRCULATED as u64) << 48;
@@ -421,12 +409,12 @@ pub fn returned(sent: &[u8], received: &[u8], place: Place, stays: bool) -> Retu
     let header = |frame: &[u8]| frame.get(place.at..)?.first_chunk().map(|bytes| u64::from_le_bytes(*bytes));
     let counter = received.get(place.data().end..).and_then(<[u8]>::first_chunk);
     let (Some(sent), Some(read), Some(counter)) = (header(sent), header(received), counter) else {
-        return Returned::Other;
+        return Read::Other;
     };
     match (sent ^ read) & if stays { u64::MAX } else { !POSITION } {
-        0 => Returned::Counted(u16::from_le_bytes(*counter)),
-        WENT_ROUND => Returned::Circulated,
-        _ => Returned::Other,
+        0 => Read::Good(u16::from_le_bytes(*counter)),
+        WENT_ROUND => Read::Circulated,
+        _ => Read::Other,
     }
 }
 

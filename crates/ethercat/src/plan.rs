@@ -205,6 +205,12 @@ pub enum Owner {
     Device(usize),
 }
 
+impl Default for Owner {
+    fn default() -> Owner {
+        Owner::Drive(0)
+    }
+}
+
 impl Setpoint {
     /// The target that this object is; `None`: it is none.
     pub(super) const fn new(object: Object) -> Option<Setpoint> {

@@ -276,7 +276,8 @@ impl Visit<'_, '_> {
     /// The contents of these registers, in one frame; zero for those that it does not have. It must have the first
     /// one.
     fn read<const N: usize>(&mut self, registers: [(u16, usize); N]) -> Result<[Vec<u8>; N], ScanError> {
-        let asks = registers.map(|(register, length)| Ask::read_of(self.place, register, length));
+        let asks = registers
+            .map(|(register, length)| Ask::read(Command::Aprd(position(self.place), register), length));
         let answers =
             self.exchange.ask_until(&asks, |answers| answers.first().is_some_and(|a| a.count > 0))?;
         let mut answers = answers.ok_or_else(|| self.lost())?.into_iter();

@@ -14,6 +14,7 @@
 //! | 60FFh | scaling assumed | 0.001 rpm (assumed) |
 //! | texts | four characters, what an expedited SDO holds (assumed) | longer, in segments |
 
+use super::Type::{I8, I16, I32, Text, U8, U16, U32};
 use super::{Object, Type};
 
 /// The access to an object.
@@ -61,22 +62,14 @@ pub struct Known {
     pub assumed: bool,
 }
 
-impl Known {
-    const fn new(index: u16, sub: u8, name: &'static str, kind: Type) -> Known {
-        let (min, max) = kind.range();
-        Known {
-            object: Object::new(index, sub),
-            name,
-            kind,
-            access: Access::ReadOnly,
-            unit: "",
-            min,
-            max,
-            drives: Drives::All,
-            assumed: false,
-        }
-    }
+/// An object that can be read, of all drives.
+const fn known(kind: Type, index: u16, sub: u8, name: &'static str) -> Known {
+    let (object, (min, max)) = (Object::new(index, sub), kind.range());
+    let (access, drives) = (Access::ReadOnly, Drives::All);
+    Known { object, name, kind, access, unit: "", min, max, drives, assumed: false }
+}
 
+impl Known {
     const fn writable(self) -> Known {
         Known { access: Access::ReadWrite, ..self }
     }
@@ -106,122 +99,94 @@ impl Known {
     }
 }
 
-const fn i8(index: u16, sub: u8, name: &'static str) -> Known {
-    Known::new(index, sub, name, Type::I8)
-}
-
-const fn u8(index: u16, sub: u8, name: &'static str) -> Known {
-    Known::new(index, sub, name, Type::U8)
-}
-
-const fn i16(index: u16, sub: u8, name: &'static str) -> Known {
-    Known::new(index, sub, name, Type::I16)
-}
-
-const fn u16(index: u16, sub: u8, name: &'static str) -> Known {
-    Known::new(index, sub, name, Type::U16)
-}
-
-const fn i32(index: u16, sub: u8, name: &'static str) -> Known {
-    Known::new(index, sub, name, Type::I32)
-}
-
-const fn u32(index: u16, sub: u8, name: &'static str) -> Known {
-    Known::new(index, sub, name, Type::U32)
-}
-
-const fn text(index: u16, name: &'static str) -> Known {
-    Known::new(index, 0, name, Type::Text)
-}
-
 const ALL: &[Known] = &[
     // Communication.
-    u32(0x1000, 0, "device-type"),
-    u8(0x1001, 0, "error-register"),
-    u32(0x1002, 0, "manufacturer-status"),
-    u8(0x1003, 0, "error-count").assume(),
-    u32(0x1003, 1, "last-error").assume(),
-    text(0x1008, "device-name").assume(),
-    text(0x1009, "hardware-version").assume(),
-    text(0x100A, "software-version").assume(),
-    u8(0x1018, 0, "identity-count"),
-    u32(0x1018, 1, "vendor"),
-    u32(0x1018, 2, "product"),
-    u32(0x1018, 3, "revision"),
-    u32(0x1018, 4, "serial-number"),
-    u8(0x1C00, 0, "sync-manager-count"),
-    u8(0x1C00, 1, "sync-manager-0-type"),
-    u8(0x1C00, 2, "sync-manager-1-type"),
-    u8(0x1C00, 3, "sync-manager-2-type"),
-    u8(0x1C00, 4, "sync-manager-3-type"),
-    u8(0x1C12, 0, "output-pdo-count").within(0, 1).in_pre_op(),
-    u16(0x1C12, 1, "output-pdo").in_pre_op(),
-    u8(0x1C13, 0, "input-pdo-count").within(0, 1).in_pre_op(),
-    u16(0x1C13, 1, "input-pdo").in_pre_op(),
-    u8(0x1C32, 0, "output-sync-count").assume(),
-    u16(0x1C32, 1, "output-sync-type").writable().assume(),
-    u32(0x1C32, 2, "output-sync-cycle").unit("ns").assume(),
-    u8(0x1C33, 0, "input-sync-count").assume(),
-    u16(0x1C33, 1, "input-sync-type").writable().assume(),
-    u32(0x1C33, 2, "input-sync-cycle").unit("ns").assume(),
+    known(U32, 0x1000, 0, "device-type"),
+    known(U8, 0x1001, 0, "error-register"),
+    known(U32, 0x1002, 0, "manufacturer-status"),
+    known(U8, 0x1003, 0, "error-count").assume(),
+    known(U32, 0x1003, 1, "last-error").assume(),
+    known(Text, 0x1008, 0, "device-name").assume(),
+    known(Text, 0x1009, 0, "hardware-version").assume(),
+    known(Text, 0x100A, 0, "software-version").assume(),
+    known(U8, 0x1018, 0, "identity-count"),
+    known(U32, 0x1018, 1, "vendor"),
+    known(U32, 0x1018, 2, "product"),
+    known(U32, 0x1018, 3, "revision"),
+    known(U32, 0x1018, 4, "serial-number"),
+    known(U8, 0x1C00, 0, "sync-manager-count"),
+    known(U8, 0x1C00, 1, "sync-manager-0-type"),
+    known(U8, 0x1C00, 2, "sync-manager-1-type"),
+    known(U8, 0x1C00, 3, "sync-manager-2-type"),
+    known(U8, 0x1C00, 4, "sync-manager-3-type"),
+    known(U8, 0x1C12, 0, "output-pdo-count").within(0, 1).in_pre_op(),
+    known(U16, 0x1C12, 1, "output-pdo").in_pre_op(),
+    known(U8, 0x1C13, 0, "input-pdo-count").within(0, 1).in_pre_op(),
+    known(U16, 0x1C13, 1, "input-pdo").in_pre_op(),
+    known(U8, 0x1C32, 0, "output-sync-count").assume(),
+    known(U16, 0x1C32, 1, "output-sync-type").writable().assume(),
+    known(U32, 0x1C32, 2, "output-sync-cycle").unit("ns").assume(),
+    known(U8, 0x1C33, 0, "input-sync-count").assume(),
+    known(U16, 0x1C33, 1, "input-sync-type").writable().assume(),
+    known(U32, 0x1C33, 2, "input-sync-cycle").unit("ns").assume(),
     // The manufacturer's.
-    i32(0x2050, 0, "position-2").akd(),
-    i32(0x2070, 2, "incremental-speed").s700().assume(),
-    i32(0x20A0, 0, "latch-position").akd().assume(),
-    u16(0x20A4, 0, "latch-control").writable().akd(),
-    u16(0x20A5, 0, "latch-status").akd(),
-    i16(0x3470, 3, "analogue-output").writable().akd().assume(),
-    i16(0x3470, 4, "analogue-input").akd().assume(),
-    i32(0x35D5, 1, "cycle-time").within(1, 127).unit("x 250 us").writable().s700().assume(),
+    known(I32, 0x2050, 0, "position-2").akd(),
+    known(I32, 0x2070, 2, "incremental-speed").s700().assume(),
+    known(I32, 0x20A0, 0, "latch-position").akd().assume(),
+    known(U16, 0x20A4, 0, "latch-control").writable().akd(),
+    known(U16, 0x20A5, 0, "latch-status").akd(),
+    known(I16, 0x3470, 3, "analogue-output").writable().akd().assume(),
+    known(I16, 0x3470, 4, "analogue-input").akd().assume(),
+    known(I32, 0x35D5, 1, "cycle-time").within(1, 127).unit("x 250 us").writable().s700().assume(),
     // CiA 402.
-    u16(0x603F, 0, "error-code").akd().assume(),
-    u16(0x6040, 0, "control-word").writable(),
-    u16(0x6041, 0, "status-word"),
-    i8(0x6060, 0, "mode").writable(),
-    i8(0x6061, 0, "mode-display"),
-    i32(0x6063, 0, "position-increments").unit("increments"),
-    i32(0x6064, 0, "position"),
-    u32(0x6065, 0, "following-error-window").writable().assume(),
-    i32(0x606B, 0, "velocity-setpoint").writable().s700(),
-    i32(0x606C, 0, "velocity"),
-    i16(0x6071, 0, "target-torque").unit("per mille").writable(),
-    u16(0x6072, 0, "maximum-torque").unit("per mille").writable().assume(),
-    i16(0x6074, 0, "current-setpoint").writable().s700(),
-    i16(0x6077, 0, "torque").unit("per mille"),
-    i32(0x607A, 0, "target-position").writable(),
-    i32(0x607C, 0, "home-offset").writable().assume(),
-    u32(0x607F, 0, "maximum-velocity").writable().akd().assume(),
-    u32(0x6080, 0, "maximum-speed").unit("rpm").writable().akd().assume(),
-    u32(0x6081, 0, "profile-velocity").writable(),
-    u32(0x6083, 0, "profile-acceleration").writable(),
-    u32(0x6084, 0, "profile-deceleration").writable(),
-    u8(0x608F, 0, "resolution-count"),
-    u32(0x608F, 1, "resolution-increments").unit("increments"),
-    u32(0x608F, 2, "resolution-turns"),
-    u8(0x6092, 0, "feed-count"),
-    u32(0x6092, 1, "feed").within(1, u32::MAX as i64).writable(),
-    u32(0x6092, 2, "feed-turns").within(1, u32::MAX as i64).writable(),
-    u8(0x6093, 0, "position-factor-count"),
-    u32(0x6093, 1, "position-factor").within(1, u32::MAX as i64).writable(),
-    u32(0x6093, 2, "position-factor-divisor").within(1, u32::MAX as i64).writable(),
-    i8(0x6098, 0, "homing-method").within(-128, 35).writable().assume(),
-    u8(0x6099, 0, "homing-speed-count").assume(),
-    u32(0x6099, 1, "homing-speed-switch").writable().assume(),
-    u32(0x6099, 2, "homing-speed-zero").writable().assume(),
-    u32(0x609A, 0, "homing-acceleration").writable().assume(),
-    i16(0x60B2, 0, "torque-feed-forward").writable().akd(),
-    u8(0x60C1, 0, "interpolation-count"),
-    i32(0x60C1, 1, "interpolation-position").writable(),
-    u8(0x60C2, 0, "interpolation-time-count"),
-    u8(0x60C2, 1, "interpolation-time").within(1, 255).writable(),
-    i8(0x60C2, 2, "interpolation-time-power").within(-6, 0).writable(),
-    u16(0x60E0, 0, "positive-torque-limit").unit("per mille").writable().akd().assume(),
-    u16(0x60E1, 0, "negative-torque-limit").unit("per mille").writable().akd().assume(),
-    i32(0x60F4, 0, "following-error").akd(),
-    u32(0x60FD, 0, "digital-inputs"),
-    u8(0x60FE, 0, "digital-outputs-count").akd(),
-    u32(0x60FE, 1, "digital-outputs").writable().akd(),
-    i32(0x60FF, 0, "target-velocity").writable(),
+    known(U16, 0x603F, 0, "error-code").akd().assume(),
+    known(U16, 0x6040, 0, "control-word").writable(),
+    known(U16, 0x6041, 0, "status-word"),
+    known(I8, 0x6060, 0, "mode").writable(),
+    known(I8, 0x6061, 0, "mode-display"),
+    known(I32, 0x6063, 0, "position-increments").unit("increments"),
+    known(I32, 0x6064, 0, "position"),
+    known(U32, 0x6065, 0, "following-error-window").writable().assume(),
+    known(I32, 0x606B, 0, "velocity-setpoint").writable().s700(),
+    known(I32, 0x606C, 0, "velocity"),
+    known(I16, 0x6071, 0, "target-torque").unit("per mille").writable(),
+    known(U16, 0x6072, 0, "maximum-torque").unit("per mille").writable().assume(),
+    known(I16, 0x6074, 0, "current-setpoint").writable().s700(),
+    known(I16, 0x6077, 0, "torque").unit("per mille"),
+    known(I32, 0x607A, 0, "target-position").writable(),
+    known(I32, 0x607C, 0, "home-offset").writable().assume(),
+    known(U32, 0x607F, 0, "maximum-velocity").writable().akd().assume(),
+    known(U32, 0x6080, 0, "maximum-speed").unit("rpm").writable().akd().assume(),
+    known(U32, 0x6081, 0, "profile-velocity").writable(),
+    known(U32, 0x6083, 0, "profile-acceleration").writable(),
+    known(U32, 0x6084, 0, "profile-deceleration").writable(),
+    known(U8, 0x608F, 0, "resolution-count"),
+    known(U32, 0x608F, 1, "resolution-increments").unit("increments"),
+    known(U32, 0x608F, 2, "resolution-turns"),
+    known(U8, 0x6092, 0, "feed-count"),
+    known(U32, 0x6092, 1, "feed").within(1, u32::MAX as i64).writable(),
+    known(U32, 0x6092, 2, "feed-turns").within(1, u32::MAX as i64).writable(),
+    known(U8, 0x6093, 0, "position-factor-count"),
+    known(U32, 0x6093, 1, "position-factor").within(1, u32::MAX as i64).writable(),
+    known(U32, 0x6093, 2, "position-factor-divisor").within(1, u32::MAX as i64).writable(),
+    known(I8, 0x6098, 0, "homing-method").within(-128, 35).writable().assume(),
+    known(U8, 0x6099, 0, "homing-speed-count").assume(),
+    known(U32, 0x6099, 1, "homing-speed-switch").writable().assume(),
+    known(U32, 0x6099, 2, "homing-speed-zero").writable().assume(),
+    known(U32, 0x609A, 0, "homing-acceleration").writable().assume(),
+    known(I16, 0x60B2, 0, "torque-feed-forward").writable().akd(),
+    known(U8, 0x60C1, 0, "interpolation-count"),
+    known(I32, 0x60C1, 1, "interpolation-position").writable(),
+    known(U8, 0x60C2, 0, "interpolation-time-count"),
+    known(U8, 0x60C2, 1, "interpolation-time").within(1, 255).writable(),
+    known(I8, 0x60C2, 2, "interpolation-time-power").within(-6, 0).writable(),
+    known(U16, 0x60E0, 0, "positive-torque-limit").unit("per mille").writable().akd().assume(),
+    known(U16, 0x60E1, 0, "negative-torque-limit").unit("per mille").writable().akd().assume(),
+    known(I32, 0x60F4, 0, "following-error").akd(),
+    known(U32, 0x60FD, 0, "digital-inputs"),
+    known(U8, 0x60FE, 0, "digital-outputs-count").akd(),
+    known(U32, 0x60FE, 1, "digital-outputs").writable().akd(),
+    known(I32, 0x60FF, 0, "target-velocity").writable(),
 ];
 
 /// All of them, by index and subindex.

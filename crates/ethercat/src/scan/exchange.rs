@@ -5,9 +5,7 @@
 
 use super::ScanError;
 use crate::image::Mark;
-use crate::wire::frame::{
-    BROADCAST, Builder, Command, Datagram, FRAME_MAX, Mac, datagrams, position, source,
-};
+use crate::wire::frame::{BROADCAST, Builder, Command, Datagram, FRAME_MAX, datagrams, source};
 use fieldbeat_core::net::Frames;
 use fieldbeat_core::time::{MS, Time};
 
@@ -28,22 +26,12 @@ pub struct Ask {
 }
 
 impl Ask {
-    pub(super) fn new(command: Command, data: &[u8]) -> Ask {
+    pub(super) fn write(command: Command, data: &[u8]) -> Ask {
         Ask { command, data: data.to_vec() }
     }
 
     pub(super) fn read(command: Command, length: usize) -> Ask {
         Ask { command, data: vec![0; length] }
-    }
-
-    /// Reads of the slave at a position.
-    pub(super) fn read_of(place: u16, register: u16, length: usize) -> Ask {
-        Ask::read(Command::Aprd(position(place), register), length)
-    }
-
-    /// Writes to the slave at a position.
-    pub(super) fn write_to(place: u16, register: u16, data: &[u8]) -> Ask {
-        Ask { command: Command::Apwr(position(place), register), data: data.to_vec() }
     }
 
     /// Whether this is the reply to it: slaves count positions, and leave the register.
@@ -59,15 +47,6 @@ pub(super) struct Answer {
     pub(super) data: Vec<u8>,
     /// How many slaves have carried it out.
     pub(super) count: u16,
-}
-
-/// The meaning of a received frame.
-#[derive(Debug, PartialEq, Eq)]
-enum Delivery {
-    Answers(Vec<Answer>),
-    /// Of no use, and not another master's.
-    Nothing,
-    Foreign(Mac),
 }
 
 /// Sends frames one by one.
@@ -141,31 +120,30 @@ impl<'a> Exchange<'a> {
                 self.frames.wait(LOOK_MS);
                 continue;
             };
-            match self.judge(&room[..length.min(FRAME_MAX)], asks) {
-                Delivery::Answers(answers) => return Ok(Some(answers)),
-                Delivery::Foreign(mac) => return Err(ScanError::Foreign(mac)),
-                Delivery::Nothing if self.now() >= until => return Ok(None),
-                Delivery::Nothing => {}
+            let answers = self.judge(&room[..length.min(FRAME_MAX)], asks)?;
+            if answers.is_some() || self.now() >= until {
+                return Ok(answers);
             }
         }
     }
 
-    fn judge(&self, frame: &[u8], asks: &[Ask]) -> Delivery {
+    /// The answers in a received frame; `None`: it is of no use, and not another master's.
+    fn judge(&self, frame: &[u8], asks: &[Ask]) -> Result<Option<Vec<Answer>>, ScanError> {
         let Ok(Ok(read)) = datagrams(frame).map(Iterator::collect::<Result<Vec<Datagram>, _>>) else {
-            return Delivery::Nothing;
+            return Ok(None);
         };
-        let Some((_, rest)) = read.split_first() else { return Delivery::Nothing };
+        let Some((_, rest)) = read.split_first() else { return Ok(None) };
         let mark = Mark::of(frame);
         if mark.is_none_or(|mark| mark.master != self.mark.master) {
-            return source(frame).map_or(Delivery::Nothing, Delivery::Foreign);
+            return source(frame).map_or(Ok(None), |mac| Err(ScanError::Foreign(mac)));
         }
         let is_whole = rest.len() == asks.len()
             && rest.iter().zip(asks).all(|(back, ask)| ask.is(back) && !back.circulated);
         if mark != Some(self.mark) || !is_whole || asks.is_empty() {
-            return Delivery::Nothing;
+            return Ok(None);
         }
         let answer = |back: &Datagram| Answer { data: back.data.to_vec(), count: back.working_counter };
-        Delivery::Answers(rest.iter().map(answer).collect())
+        Ok(Some(rest.iter().map(answer).collect()))
     }
 }
 
@@ -202,18 +180,18 @@ mod tests {
         };
         let (mut late, mut other) = (mark, mark);
         (late[4], other[0]) = (2, mark[0] ^ 1);
-        let foreign = || Delivery::Foreign([0x10, 0x12, 0x12, 0x12, 0x12, 0x12]);
+        let foreign = || Err(ScanError::Foreign([0x10, 0x12, 0x12, 0x12, 0x12, 0x12]));
         let answer = Answer { data: vec![0, 0], count: 0 };
         for (what, received, expected) in [
-            ("good", good.clone(), Delivery::Answers(vec![answer])),
-            ("late", frame(&late, &asks), Delivery::Nothing),
-            ("of another shape", frame(&mark, &[Ask::read(Command::Brd(0x0130), 2)]), Delivery::Nothing),
-            ("of none", frame(&mark, &[]), Delivery::Nothing),
-            ("circulated", changed(16 + 20 + 7, good[16 + 20 + 7] | 1 << 6), Delivery::Nothing),
-            ("broken", changed(14, 0xFF), Delivery::Nothing),
-            ("of a gateway", changed(15, 0x50), Delivery::Nothing),
-            ("zeros", vec![0; FRAME_MIN], Delivery::Nothing),
-            ("empty", vec![], Delivery::Nothing),
+            ("good", good.clone(), Ok(Some(vec![answer]))),
+            ("late", frame(&late, &asks), Ok(None)),
+            ("of another shape", frame(&mark, &[Ask::read(Command::Brd(0x0130), 2)]), Ok(None)),
+            ("of none", frame(&mark, &[]), Ok(None)),
+            ("circulated", changed(16 + 20 + 7, good[16 + 20 + 7] | 1 << 6), Ok(None)),
+            ("broken", changed(14, 0xFF), Ok(None)),
+            ("of a gateway", changed(15, 0x50), Ok(None)),
+            ("zeros", vec![0; FRAME_MIN], Ok(None)),
+            ("empty", vec![], Ok(None)),
             ("with another mark", frame(&other, &asks), foreign()),
             ("with no mark", frame(&[0; 4], &asks), foreign()),
         ] {

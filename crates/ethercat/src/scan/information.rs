@@ -69,16 +69,6 @@ impl Information {
     }
 }
 
-/// Why the reading has ended.
-#[derive(Error)]
-enum End {
-    #[error(transparent)]
-    Scan(#[from] ScanError),
-    #[error(transparent)]
-    Sii(#[from] Unread),
-}
-fieldbeat_core::debug_as_display!(End);
-
 impl Visit<'_, '_> {
     /// Reads the SII. One that the slave's processor owns is taken, and given back.
     pub(super) fn information(&mut self, owned: bool) -> Result<Result<Information, Unread>, ScanError> {
@@ -90,19 +80,15 @@ impl Visit<'_, '_> {
         if owned {
             self.own(&[sii::PROCESSOR])?;
         }
-        match read {
-            Ok(information) => Ok(Ok(information)),
-            Err(End::Sii(why)) => Ok(Err(why)),
-            Err(End::Scan(error)) => Err(error),
-        }
+        read
     }
 
     fn own(&mut self, owner: &[u8]) -> Result<(), ScanError> {
-        let asks = [exchange::Ask::write_to(self.place, address::SII_OWNER, owner)];
+        let asks = [exchange::Ask::write(Command::Apwr(position(self.place), address::SII_OWNER), owner)];
         self.exchange.ask(&asks)?.ok_or_else(|| self.lost()).map(drop)
     }
 
-    fn all(&mut self) -> Result<Information, End> {
+    fn all(&mut self) -> Result<Result<Information, Unread>, ScanError> {
         let place = position(self.place);
         // The time limits the looks.
         let mut reader = Reader::new(Categories { sound: true, ..Categories::default() }, u16::MAX);
@@ -113,24 +99,23 @@ impl Visit<'_, '_> {
                 (|register| Command::Aprd(place, register), |register| Command::Apwr(place, register));
             reader.request(read, write, &mut ask);
             let asks: Vec<_> =
-                ask.datagrams().map(|(command, data)| exchange::Ask::new(command, data)).collect();
+                ask.datagrams().map(|(command, data)| exchange::Ask::write(command, data)).collect();
             let answers = self.exchange.ask(&asks)?.ok_or_else(|| self.lost())?;
             let answer = answers
                 .first()
                 .map(|answer| slot::Answer { working_counter: answer.count, data: &answer.data });
             match reader.receive(&[answer, None]) {
                 Reading::On => until = self.exchange.now() + WITHIN_NS,
-                Reading::Busy if self.exchange.now() >= until => return Err(Unread::Busy.into()),
-                Reading::Busy => {}
-                Reading::Failed(Fault::Busy) => return Err(Unread::Busy.into()),
-                Reading::Failed(Fault::Owned) => return Err(Unread::Owned.into()),
-                Reading::Failed(_) => return Err(Unread::Refused.into()),
+                Reading::Busy if self.exchange.now() < until => {}
+                Reading::Busy | Reading::Failed(Fault::Busy) => return Ok(Err(Unread::Busy)),
+                Reading::Failed(Fault::Owned) => return Ok(Err(Unread::Owned)),
+                Reading::Failed(_) => return Ok(Err(Unread::Refused)),
                 Reading::Done => break,
             }
         }
         let (head, Categories { sound, texts, general, managers }) = (reader.head, reader.content);
         let is_there = head.mailboxes.iter().all(|area| !matches!(area.length, 0 | 0xFFFF));
-        Ok(Information {
+        Ok(Ok(Information {
             sound,
             identity: head.identity,
             serial: head.serial,
@@ -138,7 +123,7 @@ impl Visit<'_, '_> {
             mailbox: is_there.then_some(head.mailboxes),
             protocols: if is_there { head.protocols } else { Protocols::default() },
             managers: managers.as_chunks().0.iter().map(|entry| sii::sync_manager(*entry)).collect(),
-        })
+        }))
     }
 }
 

@@ -184,13 +184,11 @@ impl Segment {
     pub fn new(plan: &EthercatPlan, offsets: Vec<Offsets>, period_ns: u64) -> Segment {
         let slaves = plan.slaves();
         let slave = |((owner, slave), offsets): ((Owner, &_), Offsets)| {
-            let found_running = match owner {
-                Owner::Drive(index) => plan.drives[index].axis.on_found_running,
-                Owner::Device(_) => FoundRunning::Stop,
-            };
-            let mut slave = Slave::new(owner, slave, offsets, plan.lrw, found_running);
+            let mut slave = Slave::new(owner, slave, offsets, plan.lrw);
             if let Owner::Drive(index) = owner {
-                slave.own = outputs::own(&plan.drives[index]).into();
+                let drive = &plan.drives[index];
+                slave.is_left = drive.axis.on_found_running == FoundRunning::Refuse;
+                slave.own = outputs::own(drive).into();
             }
             slave
         };

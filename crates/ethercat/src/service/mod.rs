@@ -51,7 +51,7 @@ use fieldbeat_core::time::Time;
 const ANSWER_TURNS: u64 = 12;
 
 /// The mailbox of one slave.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct Service {
     /// Its conversation; `None`: the slave has no mailbox.
     pub mailbox: Option<Mailbox>,
@@ -84,23 +84,7 @@ impl Service {
     pub fn new(slave: &SlavePlan, port: Option<Port>, turn_ns: u64) -> Service {
         let answer_ns = slave.sdo_timeout_ns.max(ANSWER_TURNS * turn_ns);
         let mailbox = |areas| Mailbox::new(areas, slave.station(), answer_ns, turn_ns);
-        Service {
-            mailbox: slave.mailbox.and_then(mailbox),
-            port,
-            open: false,
-            waiting: None,
-            end: None,
-            active: None,
-            kept: Kept::default(),
-            loaded: Kept::default(),
-            emergencies: Emergencies::default(),
-            unsettled: false,
-            suspect: false,
-            silent: 0,
-            repeated: 0,
-            lost: 0,
-            answer_ns,
-        }
+        Service { mailbox: slave.mailbox.and_then(mailbox), port, answer_ns, ..Service::default() }
     }
 
     /// Adds what it touches besides itself, to be locked.

@@ -95,42 +95,35 @@ pub enum Command {
 impl Command {
     /// Its number on the wire.
     pub const fn number(self) -> u8 {
-        match self {
-            Command::Nop => 0,
-            Command::Aprd(..) => 1,
-            Command::Apwr(..) => 2,
-            Command::Aprw(..) => 3,
-            Command::Fprd(..) => 4,
-            Command::Fpwr(..) => 5,
-            Command::Fprw(..) => 6,
-            Command::Brd(_) => 7,
-            Command::Bwr(_) => 8,
-            Command::Brw(_) => 9,
-            Command::Lrd(_) => 10,
-            Command::Lwr(_) => 11,
-            Command::Lrw(_) => 12,
-            Command::Armw(..) => 13,
-            Command::Frmw(..) => 14,
-        }
+        self.parts().0
     }
 
     /// Its four bytes of address, as one number: for all but logical ones the station or position, and the register
     /// in the upper half.
     pub const fn address(self) -> u32 {
+        self.parts().1
+    }
+
+    const fn parts(self) -> (u8, u32) {
+        const fn at(first: u16, register: u16) -> u32 {
+            first as u32 | (register as u32) << 16
+        }
         match self {
-            Command::Nop => 0,
-            Command::Aprd(first, register)
-            | Command::Apwr(first, register)
-            | Command::Aprw(first, register)
-            | Command::Fprd(first, register)
-            | Command::Fpwr(first, register)
-            | Command::Fprw(first, register)
-            | Command::Armw(first, register)
-            | Command::Frmw(first, register) => first as u32 | (register as u32) << 16,
-            Command::Brd(register) | Command::Bwr(register) | Command::Brw(register) => {
-                (register as u32) << 16
-            }
-            Command::Lrd(address) | Command::Lwr(address) | Command::Lrw(address) => address,
+            Command::Nop => (0, 0),
+            Command::Aprd(first, register) => (1, at(first, register)),
+            Command::Apwr(first, register) => (2, at(first, register)),
+            Command::Aprw(first, register) => (3, at(first, register)),
+            Command::Fprd(first, register) => (4, at(first, register)),
+            Command::Fpwr(first, register) => (5, at(first, register)),
+            Command::Fprw(first, register) => (6, at(first, register)),
+            Command::Brd(register) => (7, at(0, register)),
+            Command::Bwr(register) => (8, at(0, register)),
+            Command::Brw(register) => (9, at(0, register)),
+            Command::Lrd(address) => (10, address),
+            Command::Lwr(address) => (11, address),
+            Command::Lrw(address) => (12, address),
+            Command::Armw(first, register) => (13, at(first, register)),
+            Command::Frmw(first, register) => (14, at(first, register)),
         }
     }
 

@@ -20,7 +20,6 @@ use super::{Context, List, Mapped, Note, Runs, Slave, Step, Tie, Way};
 use crate::segment::running::Running;
 use crate::slot::Answers;
 use crate::wire::registers::{AlState, AlStatus, Fmmu, SyncManager};
-use fieldbeat_core::axis::FoundRunning;
 use fieldbeat_core::time::{MS, Time};
 
 impl Slave {
@@ -122,11 +121,11 @@ impl Slave {
 
     /// It is not as configured.
     pub(super) fn not_joinable(&mut self, now: Time) {
-        if self.found_running == FoundRunning::Stop {
+        if self.is_left {
+            self.leave_running(now, Note::FoundRunning);
+        } else {
             self.way = Way::default();
             self.enter(now, Step::to(AlState::Init));
-        } else {
-            self.leave_running(now, Note::FoundRunning);
         }
     }
 

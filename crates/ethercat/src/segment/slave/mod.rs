@@ -56,7 +56,6 @@ use crate::sii::Managers;
 use crate::slot::Ask;
 use crate::wire::frame::{Command, position};
 use crate::wire::registers::{AlState, AlStatus, Features};
-use fieldbeat_core::axis::FoundRunning;
 use fieldbeat_core::bus::Cycle;
 use fieldbeat_core::rt::Regions;
 use fieldbeat_core::time::{MS, S, Time};
@@ -185,7 +184,7 @@ enum Tie {
 }
 
 /// One slave of the segment.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct Slave {
     /// Its owner.
     pub owner: Owner,
@@ -195,7 +194,8 @@ pub struct Slave {
     pub plan: SlavePlan,
     /// The process data go by LRW.
     lrw: bool,
-    found_running: FoundRunning,
+    /// Found running, and not to be joined, it is left alone; otherwise it is stopped.
+    pub is_left: bool,
     /// What is done with it at present.
     step: Step,
     since: Time,
@@ -265,55 +265,16 @@ pub struct Slave {
 
 impl Slave {
     /// A slave that was not seen yet.
-    pub fn new(
-        owner: Owner,
-        plan: &SlavePlan,
-        offsets: Offsets,
-        lrw: bool,
-        found_running: FoundRunning,
-    ) -> Slave {
+    pub fn new(owner: Owner, plan: &SlavePlan, offsets: Offsets, lrw: bool) -> Slave {
         Slave {
             owner,
             offsets,
             plan: plan.clone(),
             lrw,
-            found_running,
-            step: Step::Look,
-            since: Time(0),
-            silent: 0,
-            way: Way::default(),
-            features: Features::default(),
-            emulated: false,
-            alias: 0,
-            acknowledge: None,
-            fmmus: 0,
-            managers: 0,
-            delivered: Managers::default(),
-            has_al: false,
-            found_mode: None,
             watched: true,
-            clock_set: false,
-            delay_ns: None,
-            runs: Runs::default(),
-            counted: 0,
-            counted_as_ours: 0,
-            tie: Tie::default(),
-            given: false,
-            ending: false,
-            own: Box::default(),
-            has_own: false,
             factor: 1,
             note: Note::Starting,
-            remark: Note::None,
-            omitted: Note::None,
-            further: Note::None,
-            refused: Note::None,
-            refusals: 0,
-            moved_at: Time(0),
-            reported: None,
-            shown: AlStatus::default(),
-            steady: false,
-            missing: 0,
+            ..Slave::default()
         }
     }
 

@@ -143,7 +143,6 @@ mod tests {
     use crate::image::Offsets;
     use crate::plan::{Area, Owner, SlavePlan};
     use crate::wire::sdo::Object;
-    use fieldbeat_core::axis::FoundRunning;
 
     #[test]
     fn an_object_that_is_not_answered_is_named_and_the_slave_stays_in_preop() {
@@ -154,7 +153,7 @@ mod tests {
         // One that is not open ends each transfer without an answer.
         let mut service = Service::new(&plan, None, 0);
         let owner = Owner::Device(0);
-        let mut slave = Slave::new(owner, &plan, Offsets::default(), true, FoundRunning::Stop);
+        let mut slave = Slave::new(owner, &plan, Offsets::default(), true);
         let now = Time(0);
         for list in 1..=LISTS {
             slave.step = Step::list(List::Write);

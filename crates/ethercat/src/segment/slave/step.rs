@@ -8,12 +8,13 @@ use crate::wire::registers::{AlCode, AlState, AlStatus};
 use fieldbeat_core::time::Time;
 
 /// The step that it is at.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 pub(super) enum Step {
     /// Nothing until then.
     Rest(Time),
     /// It was refused.
     Refused(Pause),
+    #[default]
     Look,
     /// Whether the slave that has its station address is another one, or it has an old address itself, which it loses.
     Twin {
