@@ -44,6 +44,16 @@ type Keys = [&'static str; 2];
 const OF_A_DRIVE: Keys = ["buffers"; 2];
 const OF_A_DEVICE: Keys = ["outputs", "inputs"];
 
+/// What is wrong with one slave, or with the segment.
+#[derive(Default)]
+struct Found(Vec<PlanFault>);
+
+impl Found {
+    fn wrong(&mut self, key: &'static str, message: impl Into<String>) {
+        self.0.push(PlanFault::new(key, message));
+    }
+}
+
 impl EthercatPlan {
     /// What is wrong, with the place of the drive: what is wrong with the segment or with a device is put down to the
     /// first one.
@@ -52,7 +62,7 @@ impl EthercatPlan {
         for (index, drive) in self.drives.iter().enumerate() {
             faults.extend(drive.axis.faults().into_iter().map(|fault| (index, fault)));
         }
-        faults.extend(self.name_faults().into_iter().map(|fault| (0, fault)));
+        faults.extend(self.check_names().0.into_iter().map(|fault| (0, fault)));
         faults.extend(self.findings(period_ns).into_iter().map(|(owner, fault)| match owner {
             Some(Owner::Drive(index)) => (index, fault),
             Some(Owner::Device(index)) => {
@@ -65,69 +75,65 @@ impl EthercatPlan {
     }
 
     /// The names of devices; those of drives are looked at for all protocols.
-    fn name_faults(&self) -> Vec<PlanFault> {
-        let mut faults = Vec::new();
+    fn check_names(&self) -> Found {
+        let mut found = Found::default();
         for (index, Device { name, .. }) in self.devices.iter().enumerate() {
             if !is_plain_name(name) {
-                let why = format!("{name:?}: its name must be 1 to 32 letters, digits, - _ or .");
-                faults.push(PlanFault::new("device", why));
+                found
+                    .wrong("device", format!("{name:?}: its name must be 1 to 32 letters, digits, - _ or ."));
             }
             let of_drive = self.drives.iter().any(|drive| drive.axis.name == *name);
             if of_drive || self.devices[..index].iter().any(|other| other.name == *name) {
-                let why = format!("{name}: its name is taken; names are unique in the machine");
-                faults.push(PlanFault::new("device", why));
+                found.wrong("device", format!("{name}: its name is taken; names are unique in the machine"));
             }
         }
-        faults
+        found
     }
 
     /// What is wrong, and whose it is, the segment's or a slave's; all that a drive has as an axis left out.
     #[doc(hidden)]
     pub fn findings(&self, period_ns: u64) -> Vec<(Option<Owner>, PlanFault)> {
-        let mut faults: Vec<_> = self.line_faults(period_ns).into_iter().map(|fault| (None, fault)).collect();
+        let mut faults: Vec<_> =
+            self.check_line(period_ns).0.into_iter().map(|fault| (None, fault)).collect();
         let mut last: Option<(u16, Owner)> = None;
         for (owner, slave) in self.slaves() {
+            let mut found = Found::default();
             if let Some((_, first)) = last.filter(|(place, _)| *place == slave.place) {
-                let why = format!(
-                    "{} is already the place of {}; each slave has its own, counted from 0 at the master",
-                    slave.place,
-                    self.name_of(first)
-                );
-                faults.push((Some(owner), PlanFault::new("position", why)));
+                let (place, first) = (slave.place, self.name_of(first));
+                let rule = "each slave has its own, counted from 0 at the master";
+                found.wrong("position", format!("{place} is already the place of {first}; {rule}"));
             }
             last = Some((slave.place, owner));
-            let own = match owner {
-                Owner::Drive(index) => self.drives[index].findings(period_ns),
-                Owner::Device(index) => self.devices[index].findings(period_ns),
-            };
-            faults.extend(own.into_iter().map(|fault| (Some(owner), fault)));
+            match owner {
+                Owner::Drive(index) => self.drives[index].check(period_ns, &mut found),
+                Owner::Device(index) => self.devices[index].check(period_ns, &mut found),
+            }
+            faults.extend(found.0.into_iter().map(|fault| (Some(owner), fault)));
         }
         faults
     }
 
-    fn line_faults(&self, period_ns: u64) -> Vec<PlanFault> {
-        let mut faults = Vec::new();
-        let mut wrong = |key, message: String| faults.push(PlanFault::new(key, message));
+    fn check_line(&self, period_ns: u64) -> Found {
+        let mut found = Found::default();
         if !is_interface(&self.interface) {
-            wrong(
+            found.wrong(
                 "interface",
                 "must be the name of a network interface, at most 15 characters like \"eth1\"; or \
-                 \"local:NAME\" for simulated drives on this computer"
-                    .into(),
+                 \"local:NAME\" for simulated drives on this computer",
             );
         }
         if self.ahead_of_sync_ns.is_some_and(|ahead| ahead == 0 || ahead >= period_ns) {
-            let why =
-                format!("must be above 0 and below the period of {}; half of it is usual", Ns(period_ns));
-            wrong("sync_ahead", why);
+            let period = Ns(period_ns);
+            let why = format!("must be above 0 and below the period of {period}; half of it is usual");
+            found.wrong("sync_ahead", why);
         }
         if let Some(message) = self.period_fault(period_ns) {
-            wrong("period", message);
+            found.wrong("period", message);
         }
         if self.frames().is_none() {
-            wrong("interface", "has a slave with more process data than fit into a frame".into());
+            found.wrong("interface", "has a slave with more process data than fit into a frame");
         }
-        faults
+        found
     }
 
     /// Why no drive of this segment can work in a cycle of `period_ns`, or no frame fits into it.
@@ -162,31 +168,23 @@ impl EthercatPlan {
 
 impl SlavePlan {
     /// What is wrong with its memory and its watchdog.
-    fn findings(&self, period_ns: u64, keys: Keys) -> Vec<PlanFault> {
-        let mut faults = self.memory_faults(keys);
-        let Some(watchdog_ns) = self.watchdog.ns() else { return faults };
-        let mut wrong = |message| faults.push(PlanFault::new("watchdog", message));
+    fn check(&self, period_ns: u64, keys: Keys, found: &mut Found) {
+        self.check_memory(keys, found);
+        let Some(watchdog_ns) = self.watchdog.ns() else { return };
         if !watchdog_ns.is_multiple_of(WATCHDOG_STEP_NS)
             || !(1..=WATCHDOG_STEPS).contains(&(watchdog_ns / WATCHDOG_STEP_NS))
         {
-            wrong(format!(
-                "must be a whole multiple of {} (register 0420h); use 100us ... {}",
-                Ns(WATCHDOG_STEP_NS),
-                "6553.5ms"
-            ));
+            let step = Ns(WATCHDOG_STEP_NS);
+            let why = format!("must be a whole multiple of {step} (register 0420h); use 100us ... 6553.5ms");
+            found.wrong("watchdog", why);
         } else if watchdog_ns <= period_ns.saturating_mul(2) {
-            wrong(format!(
-                "trips after {} without outputs, and one lost frame makes a gap of two periods, {}; allow \
-                 more than that",
-                Ns(watchdog_ns),
-                Ns(period_ns.saturating_mul(2))
-            ));
+            let (after, gap) = (Ns(watchdog_ns), Ns(period_ns.saturating_mul(2)));
+            let why = "without outputs, and one lost frame makes a gap of two periods";
+            found.wrong("watchdog", format!("trips after {after} {why}, {gap}; allow more than that"));
         }
-        faults
     }
 
-    fn memory_faults(&self, keys: Keys) -> Vec<PlanFault> {
-        let mut faults = Vec::new();
+    fn check_memory(&self, keys: Keys, found: &mut Found) {
         for (key, name, areas) in [(keys[0], "outputs", &self.outputs), (keys[1], "inputs", &self.inputs)] {
             let bytes: usize = areas.iter().map(|area| usize::from(area.length)).sum();
             let why = match () {
@@ -201,7 +199,7 @@ impl SlavePlan {
                 }
                 () => continue,
             };
-            faults.push(PlanFault::new(key, why));
+            found.wrong(key, why);
         }
         let areas = self.areas(keys);
         for (index, (key, name, bytes)) in areas.iter().enumerate() {
@@ -214,23 +212,17 @@ impl SlavePlan {
                 () => None,
             };
             if let Some(wrong) = wrong {
-                let why = format!("its {name} at {:#06X} ... {:#06X} {wrong}", bytes.start, bytes.end - 1);
-                faults.push(PlanFault::new(key, why));
+                found.wrong(key, format!("its {} {wrong}", what(name, bytes)));
             }
             for (.., other, taken) in &areas[..index] {
-                let overlap = bytes.start < taken.end && taken.start < bytes.end;
-                if overlap {
-                    faults.push(PlanFault::new(key, self.overlap(name, bytes, other, taken)));
+                if bytes.start < taken.end && taken.start < bytes.end {
+                    found.wrong(key, self.overlap(name, bytes, other, taken));
                 }
             }
         }
-        faults
     }
 
     fn overlap(&self, name: &str, bytes: &Range<u32>, other: &str, taken: &Range<u32>) -> String {
-        let what = |name: &str, bytes: &Range<u32>| {
-            format!("{name} at {:#06X} ... {:#06X}", bytes.start, bytes.end - 1)
-        };
         let remedy = match (self.outputs.as_slice(), self.inputs.as_slice()) {
             ([Area { start: out, length }], [Area { start, .. }])
                 if name == "inputs" && other == "outputs" && out < start =>
@@ -264,43 +256,45 @@ impl SlavePlan {
     }
 }
 
+/// A piece of its memory in words.
+fn what(name: &str, bytes: &Range<u32>) -> String {
+    format!("{name} at {:#06X} ... {:#06X}", bytes.start, bytes.end - 1)
+}
+
 impl KollmorgenDrive {
     /// What is wrong with it, all that it has as an axis left out.
-    fn findings(&self, period_ns: u64) -> Vec<PlanFault> {
-        let mut faults = self.slave.findings(period_ns, OF_A_DRIVE);
-        faults.extend(self.layout_faults());
-        faults.extend(self.mode_fault());
-        faults.extend(self.scaling_faults(period_ns));
-        let mut wrong = |key, message: String| faults.push(PlanFault::new(key, message));
+    fn check(&self, period_ns: u64, found: &mut Found) {
+        self.slave.check(period_ns, OF_A_DRIVE, found);
+        self.check_layouts(found);
+        if let Some(why) = self.mode_fault() {
+            found.wrong("mode", why);
+        }
+        self.check_scaling(period_ns, found);
         match self.slave.mailbox {
-            None => wrong("mailbox", "missing; a drive is configured through it".into()),
+            None => found.wrong("mailbox", "missing; a drive is configured through it"),
             Some(areas) if areas.iter().any(|area| area.length < SDO) => {
-                wrong("mailbox", format!("is too small for a request, which has {SDO} bytes"));
+                found.wrong("mailbox", format!("is too small for a request, which has {SDO} bytes"));
             }
             Some(_) => {}
         }
         let long = self.slave.start_up.iter().find(|start| start.bytes() > EXPEDITED);
         if let Some(start) = long.filter(|_| self.family == Family::S700) {
-            wrong("start_up", too_long(start));
+            found.wrong("start_up", too_long(start));
         }
         if self.axis.load == Load::Vertical(HeldBy::Drive) {
-            wrong(
+            found.wrong(
                 "held_by",
                 "a drive whose watchdog trips, or that loses the cycle (F28), stops and then switches its \
-                 power off, and the load drops; name a brake: held_by = \"brake\""
-                    .into(),
+                 power off, and the load drops; name a brake: held_by = \"brake\"",
             );
         }
         for Entry { object, .. } in self.show.iter().flatten().filter(|entry| entry.kind.is_string()) {
-            wrong("monitor", format!("{object} is a text; monitor objects with numbers"));
+            found.wrong("monitor", format!("{object} is a text; monitor objects with numbers"));
         }
-        faults
     }
 
     /// What the station needs in the process data.
-    fn layout_faults(&self) -> Vec<PlanFault> {
-        let mut faults = Vec::new();
-        let mut wrong = |key, message: String| faults.push(PlanFault::new(key, message));
+    fn check_layouts(&self, found: &mut Found) {
         let pdos = [
             ("pdo.outputs", &self.outputs, self.slave.output_bytes(), CONTROL_WORD, "control word", true),
             ("pdo.inputs", &self.inputs, self.slave.input_bytes(), STATUS_WORD, "status word", false),
@@ -308,49 +302,50 @@ impl KollmorgenDrive {
         for (key, layout, bytes, word, name, is_output) in pdos {
             if layout.is_output() != is_output {
                 let wanted = if is_output { "16xxh or 17xxh" } else { "1Axxh or 1Bxxh" };
-                wrong(key, format!("{:04X}h has the other direction; use one of {wanted}", layout.pdo));
+                found.wrong(key, format!("{:04X}h has the other direction; use one of {wanted}", layout.pdo));
             }
             if layout.place(word).is_none() {
-                wrong(key, format!("has no {name}; map {word}"));
+                found.wrong(key, format!("has no {name}; map {word}"));
             } else if !layout.entries.contains(&Entry { object: word, kind: Type::U16 }) {
-                wrong(key, format!("has a {name} of another type; write {word}.u16"));
+                found.wrong(key, format!("has a {name} of another type; write {word}.u16"));
             }
             if let Some(entry) = layout.entries.iter().find(|entry| entry.kind.is_string()) {
-                wrong(key, format!("{} is a text; process data have numbers only", entry.object));
+                found.wrong(key, format!("{} is a text; process data have numbers only", entry.object));
             }
             let twice = |(at, object): &(usize, Object)| layout.place(*object) != Some(*at);
             if let Some((_, object)) = layout.places().map(|(at, entry)| (at, entry.object)).find(twice) {
-                wrong(key, format!("has {object} twice"));
+                found.wrong(key, format!("has {object} twice"));
             }
             if self.mapping == Mapping::Free && layout.pdo & 0x0100 != 0 {
                 let free = if is_output { "1600h" } else { "1A00h" };
-                let why =
-                    format!("{:04X}h is fixed, and mapping = \"free\" writes to it; use {free}", layout.pdo);
-                wrong(key, why);
+                let pdo = layout.pdo;
+                let why = format!("{pdo:04X}h is fixed, and mapping = \"free\" writes to it; use {free}");
+                found.wrong(key, why);
             }
             if bytes != layout.size() {
-                wrong(key, format!("has {} bytes, and its buffer has {bytes}", layout.size()));
+                found.wrong(key, format!("has {} bytes, and its buffer has {bytes}", layout.size()));
             }
         }
         for entry in &self.outputs.entries {
             if let Err(why) = source(self, *entry) {
-                wrong("pdo.outputs", self.unowned(*entry, why));
+                found.wrong("pdo.outputs", self.unowned(*entry, why));
             }
         }
         if self.targets().next().is_none() && !self.native {
-            wrong(
+            found.wrong(
                 "pdo.outputs",
                 "has no setpoint; map one of 0x60C1:1 or 0x607A:0 (position), 0x606B:0 or 0x60FF:0 \
-                 (velocity), 0x6074:0 or 0x6071:0 (torque)"
-                    .into(),
+                 (velocity), 0x6074:0 or 0x6071:0 (torque)",
             );
         }
         if let Some((object, kind)) = self.setpoint().map(Setpoint::shape)
             && !self.outputs.entries.contains(&Entry { object, kind })
         {
-            wrong("pdo.outputs", format!("has a setpoint of another type; write {object}.{}", kind.name()));
+            found.wrong(
+                "pdo.outputs",
+                format!("has a setpoint of another type; write {object}.{}", kind.name()),
+            );
         }
-        faults
     }
 
     /// Why nobody writes this entry of its outputs.
@@ -372,12 +367,11 @@ impl KollmorgenDrive {
         }
     }
 
-    fn mode_fault(&self) -> Option<PlanFault> {
-        let wrong = |why: String| Some(PlanFault::new("mode", why));
+    fn mode_fault(&self) -> Option<String> {
         let Some(mode) = self.mode else {
             let is_carried = self.outputs.place(MODE).is_some() && self.mode().is_none();
-            let why = "missing: pdo.outputs carries it (0x6060:0), and has no target";
-            return is_carried.then(|| PlanFault::new("mode", why.to_owned()));
+            return is_carried
+                .then(|| "missing: pdo.outputs carries it (0x6060:0), and has no target".into());
         };
         let (is_known, has, position) = match self.family {
             Family::S700 => (mode.is_of_s700(), "3, 4, 7, 0x80, 0x82 and 0x85", "0x85 or 7"),
@@ -386,24 +380,21 @@ impl KollmorgenDrive {
         let target = match mode {
             _ if !is_known => {
                 // Drives of CiA 402 of others are described as an AKD.
-                let hint = match self.family {
-                    Family::S700 if mode.is_of_akd() => "; type = \"akd\" has it",
-                    _ => "",
-                };
-                return wrong(format!(
-                    "is not a mode of this drive that the master drives; it drives {has}{hint}"
-                ));
+                let is_akds = self.family == Family::S700 && mode.is_of_akd();
+                let hint = if is_akds { "; type = \"akd\" has it" } else { "" };
+                let what = "is not a mode of this drive that the master drives; it drives";
+                return Some(format!("{what} {has}{hint}"));
             }
             _ if self.native || self.setpoint().is_some() => return None,
             Mode::PROFILE_POSITION => {
-                return wrong(format!(
+                return Some(format!(
                     "profile position takes a target only by a handshake, which the master does not make: \
                      nothing would move; use {position}, or setpoints = \"native\" if the application makes \
                      it"
                 ));
             }
             Mode::HOMING => {
-                return wrong(
+                return Some(
                     "homing is the mode of the command Home, which sets it by itself; leave mode out".into(),
                 );
             }
@@ -415,22 +406,20 @@ impl KollmorgenDrive {
             Mode::DIGITAL_CURRENT => "0x6074:0 or 0x6071:0",
             Mode::TRAJECTORY => "0x60C1:1 or 0x607A:0",
             _ => {
-                return wrong(format!(
+                return Some(format!(
                     "follows no target that the master drives: nothing would move; use one of {has}, or \
                      setpoints = \"native\" if the application drives it"
                 ));
             }
         };
-        wrong(format!("follows {target}, which pdo.outputs does not have; map it, or leave mode out"))
+        Some(format!("follows {target}, which pdo.outputs does not have; map it, or leave mode out"))
     }
 
     /// Numbers that the wire could not carry.
-    fn scaling_faults(&self, period_ns: u64) -> Vec<PlanFault> {
-        let mut faults = Vec::new();
-        let mut wrong = |key, message: String| faults.push(PlanFault::new(key, message));
+    fn check_scaling(&self, period_ns: u64, found: &mut Found) {
         let scaling = &self.scaling;
         if !(1..=31).contains(&scaling.prbase) {
-            wrong("prbase", "must be 1 ... 31; 20 makes 1048576 increments per turn".into());
+            found.wrong("prbase", "must be 1 ... 31; 20 makes 1048576 increments per turn");
         }
         let positive = |value: f64| value > 0.0 && value.is_finite();
         for (key, value) in [
@@ -439,39 +428,33 @@ impl KollmorgenDrive {
             ("rated_current", scaling.rated_current.unwrap_or(1.0)),
         ] {
             if !positive(value) {
-                wrong(key, "must be above 0".into());
+                found.wrong(key, "must be above 0");
             }
         }
         let least = 1_000.0 / f64::from(i16::MAX);
         if matches!(self.setpoint(), Some(Setpoint::Torque(_))) && scaling.permille_per_count < least {
-            wrong(
-                "torque_permille_per_count",
-                format!("must be at least {least:.4}, so that 16 bits hold the rated torque"),
-            );
+            let why = format!("must be at least {least:.4}, so that 16 bits hold the rated torque");
+            found.wrong("torque_permille_per_count", why);
         }
         if matches!(self.axis.limits.following_error, FollowingError::Most(_))
             && !matches!(self.setpoint(), Some(Setpoint::Position(_)))
         {
-            wrong(
+            found.wrong(
                 "limits.following_error",
-                "concerns a demand of positions, and this drive gets none from the master; leave it out"
-                    .into(),
+                "concerns a demand of positions, and this drive gets none from the master; leave it out",
             );
         }
         if self.axis.units.counts_per_unit == 0.0 || !self.axis.units.counts_per_unit.is_finite() {
-            return faults; // Reported for every axis.
+            return; // Reported for every axis.
         }
         for (key, value) in [
             ("profile.velocity", Some(self.axis.profile.velocity)),
             ("limits.velocity", self.axis.limits.velocity),
         ] {
-            faults.extend(
-                value
-                    .and_then(|value| self.velocity_fault(value, period_ns))
-                    .map(|why| PlanFault::new(key, why)),
-            );
+            if let Some(why) = value.and_then(|value| self.velocity_fault(value, period_ns)) {
+                found.wrong(key, why);
+            }
         }
-        faults
     }
 
     /// Why this velocity does not go over the wire, user units/s.
@@ -499,21 +482,17 @@ impl KollmorgenDrive {
 }
 
 impl Device {
-    fn findings(&self, period_ns: u64) -> Vec<PlanFault> {
-        let mut faults = self.slave.findings(period_ns, OF_A_DEVICE);
-        let mut wrong = |key, message: String| faults.push(PlanFault::new(key, message));
+    fn check(&self, period_ns: u64, found: &mut Found) {
+        self.slave.check(period_ns, OF_A_DEVICE, found);
         if self.slave.mailbox.is_none() && !self.slave.start_up.is_empty() {
-            wrong(
-                "start_up",
-                "is written through the mailbox, and the device has none; give its mailbox".into(),
-            );
+            let why = "is written through the mailbox, and the device has none; give its mailbox";
+            found.wrong("start_up", why);
         }
         let is_small = self.slave.mailbox.is_some_and(|[out, _]| out.length <= SDO);
         let long = self.slave.start_up.iter().find(|start| start.bytes() > EXPEDITED);
         if let Some(start) = long.filter(|_| is_small) {
-            wrong("start_up", too_long(start));
+            found.wrong("start_up", too_long(start));
         }
-        faults
     }
 }
 
