@@ -3,7 +3,7 @@
 use toml::de::DeValue;
 
 use crate::object::pdo::{self, Entry, Layout};
-use crate::object::{Family, Object, Objects, Target, Type, catalogue, string};
+use crate::object::{Family, Objects, Target, catalogue, string};
 use crate::{Area, Expected, Start};
 use fieldbeat_core::axis::acyclic::Notation;
 use fieldbeat_keys::form::Form;
@@ -44,30 +44,31 @@ fn word(value: &DeValue<'_>) -> Option<u16> {
 
 /// Who a slave has to be; what the file leaves out is as in `default`.
 pub(super) fn identity(table: &mut Table<'_>, default: Expected) -> Expected {
-    let mut read = |key, default| {
-        let form = number_form(u32::MAX.into()).or(Form::word("any"));
-        let value = table.read(key, form, |value| {
-            let any = (value.as_str() == Some("any")).then_some(None);
-            let given = || number(value).and_then(|number| u32::try_from(number).ok()).map(Some);
-            any.or_else(given).ok_or("must be a number of 32 bits like 0x6A, or \"any\"".into())
-        });
-        value.unwrap_or(default)
-    };
+    const LONG: (i128, &str) = (u32::MAX as i128, "32 bits like 0x6A");
+    const SHORT: (i128, &str) = (u16::MAX as i128, "16 bits");
     Expected {
-        vendor: read("vendor", default.vendor),
-        product: read("product", default.product),
-        revision: read("revision", default.revision),
-        serial: read("serial", default.serial),
-        alias: short(table, "alias", default.alias),
-        identification: short(table, "identification", default.identification),
+        vendor: expected(table, "vendor", LONG, default.vendor),
+        product: expected(table, "product", LONG, default.product),
+        revision: expected(table, "revision", LONG, default.revision),
+        serial: expected(table, "serial", LONG, default.serial),
+        alias: expected(table, "alias", SHORT, default.alias),
+        identification: expected(table, "identification", SHORT, default.identification),
     }
 }
 
-/// A number of 16 bits by which a slave is known from others of its kind.
-fn short(table: &mut Table<'_>, key: &'static str, default: Option<u16>) -> Option<u16> {
-    let value = table.read(key, word_form().or(Form::word("any")), |value| {
-        let any = (value.as_str() == Some("any")).then_some(None);
-        any.or_else(|| word(value).map(Some)).ok_or("must be a number of 16 bits, or \"any\"".into())
+/// A number up to `most` by which a slave is known, or any.
+fn expected<T: TryFrom<i128>>(
+    table: &mut Table<'_>,
+    key: &'static str,
+    (most, what): (i128, &str),
+    default: Option<T>,
+) -> Option<T> {
+    let value = table.read(key, number_form(most).or(Form::word("any")), |value| match value.as_str() {
+        Some("any") => Ok(None),
+        _ => number(value)
+            .and_then(|number| T::try_from(number).ok())
+            .map(Some)
+            .ok_or_else(|| format!("must be a number of {what}, or \"any\"")),
     });
     value.unwrap_or(default)
 }

@@ -22,7 +22,6 @@ mod turns;
 use self::clock::SegmentClock;
 use self::judge::{FrameState, Slaves};
 use self::note::{Note, Notes};
-use self::running::Running;
 use self::slave::{Mapped, Runs, Slave};
 use self::topology::Topology;
 use super::counters::Own;
@@ -303,12 +302,6 @@ impl Segment {
     fn has_time(&self, index: usize) -> bool {
         let is_running = |source: usize| source != index && self.slaves[source].way.al == Some(AlState::Op);
         self.set_clock().is_some() || self.time_source.is_some_and(is_running)
-    }
-
-    /// Slave `index` was found running, and gives the segment its time.
-    fn take_time(&mut self, index: usize, sent: &Sent, running: &Running) {
-        self.clock.take_over(&sent.cycle, sent.at, running.time);
-        self.time_source = Some(index);
     }
 
     /// A frame has come back.

@@ -176,17 +176,18 @@ impl Segment {
         };
         let slave = &mut self.slaves[index];
         let owner = slave.owner;
-        let (happened, running) = slave.receive(&context, answers);
+        let happened = slave.receive(&context, answers);
         self.notes.set(index, slave.note());
         self.remarks.set(index, slave.remark);
         self.further.set(index, slave.further);
-        if let Some(running) = running {
-            self.take_time(index, &back.sent, &running);
-        }
         match happened {
             Happened::Nothing => {}
             Happened::Restarted => handler.restarted(owner),
             Happened::Intruded => self.lowered = true,
+            Happened::GivesTime(time) => {
+                self.clock.take_over(&back.sent.cycle, back.sent.at, time);
+                self.time_source = Some(index);
+            }
             Happened::Misplaced => self.doubt_behind(index, back.sent.cycle.grid, handler),
             Happened::Operational => handler.count(owner, Own::BroughtUp),
             Happened::Error => handler.count(owner, Own::AlErrors),
@@ -200,7 +201,7 @@ impl Segment {
         let place = self.slaves[index].plan.place;
         for behind in 0..self.slaves.len() {
             let slave = &self.slaves[behind];
-            if slave.plan.place > place && slave.is_addressed() {
+            if slave.plan.place > place && slave.way.addressed {
                 self.slaves[behind].doubted(now);
                 self.report(behind, handler);
             }

@@ -239,7 +239,7 @@ impl Station {
         if !self.requests.advance(self.profile.grid, self.profile.mode_wanted(), &mut self.service) {
             return;
         }
-        if let Some(mode) = self.requests.carried() {
+        if let Some(mode) = self.requests.carried {
             self.profile.carry_mode(mode);
         }
         if std::mem::take(&mut self.requests.refused) {
@@ -305,7 +305,7 @@ impl Station {
                 && self.requests.are_idle(self.profile.mode_wanted())
                 && self.profile.is_steady(&self.seen.inputs);
             if is_steady {
-                self.steady_until = self.requests.next_show();
+                self.steady_until = self.requests.next_show;
             }
         }
     }

@@ -57,8 +57,8 @@ enum Display {
 #[derive(Debug, Default)]
 pub struct Requests {
     own: Option<Mode>,
-    /// The outputs carry the mode, this one: what an SDO writes they would overwrite.
-    carried: Option<Mode>,
+    /// The outputs carry the mode, this one: what an SDO writes they would overwrite. `None`: it is not in them.
+    pub(super) carried: Option<Mode>,
     method: Option<i8>,
     show: [Option<Entry>; MONITOR_CHANNELS],
     pending: Option<Pending>,
@@ -79,7 +79,8 @@ pub struct Requests {
     /// It refused the last request.
     pub refused: bool,
     turn: usize,
-    next_show: Time,
+    /// When a monitored object is to be read next.
+    pub(super) next_show: Time,
     shown: [Option<f64>; MONITOR_CHANNELS],
     show_refused: [bool; MONITOR_CHANNELS],
     shown_fresh: bool,
@@ -116,11 +117,6 @@ impl Requests {
         self.carried = self.carried.map(|_| mode);
     }
 
-    /// The mode that the outputs carry; `None`: it is not in them.
-    pub(super) fn carried(&self) -> Option<Mode> {
-        self.carried
-    }
-
     /// The application may have changed the mode.
     pub(super) fn doubt_mode(&mut self) {
         self.display = Display::Doubted;
@@ -139,12 +135,6 @@ impl Requests {
         }
         self.reference = None;
         self.outdated |= self.pending == Some(Pending::Reference);
-    }
-
-    /// When a monitored object is to be read next.
-    #[inline]
-    pub(super) fn next_show(&self) -> Time {
-        self.next_show
     }
 
     /// The mode that it is in, as far as is known: a mode written at start-up counts as its own.
@@ -382,13 +372,13 @@ mod tests {
             requests.carry(Time(0), Mode::HOMING);
             requests.take(Time(0), Pending::Display, lost);
             // What it shows is older than what is sent, or not known.
-            assert_eq!((requests.carried(), requests.mode()), (Some(Mode::HOMING), ModeIs::Other));
+            assert_eq!((requests.carried, requests.mode()), (Some(Mode::HOMING), ModeIs::Other));
             assert_eq!(requests.to_carry(ModeWanted::Own), Some(own));
             requests.carry(Time(0), own);
             assert_eq!(requests.mode(), ModeIs::Other, "it may still change to the other one");
             assert_eq!(requests.not_before, Time(CARRIED_NS));
             requests.take(Time(CARRIED_NS), Pending::Display, byte(own));
-            assert_eq!((requests.carried(), requests.mode()), (Some(own), ModeIs::Own));
+            assert_eq!((requests.carried, requests.mode()), (Some(own), ModeIs::Own));
         }
     }
 }

@@ -16,7 +16,7 @@
 //! another time, or one that cannot be used at all runs, the segment's time goes to no slave.
 
 use super::setup::are_set;
-use super::{Context, List, Mapped, Note, Runs, Slave, Step, Tie, Way};
+use super::{Context, Happened, List, Mapped, Note, Runs, Slave, Step, Tie, Way};
 use crate::segment::running::Running;
 use crate::slot::Answers;
 use crate::wire::registers::{AlState, AlStatus, Fmmu, SyncManager};
@@ -76,16 +76,16 @@ impl Slave {
         }
     }
 
-    /// The time that it runs on; returned, if it is to become the segment's. With another one it is joined as long as
-    /// the segment's goes to nobody. `refused`: why it is not joined at all.
+    /// The time that it runs on. With another one than the segment's it is joined as long as that goes to nobody.
+    /// `refused`: why it is not joined at all.
     pub(super) fn found_clock(
         &mut self,
         context: &Context<'_>,
         refused: Note,
         answers: &Answers<'_>,
-    ) -> Option<Running> {
+    ) -> Happened {
         let (now, sent_at, clock) = (context.cycle.grid, context.sent_at, &context.clock);
-        let running = Running::receive(answers)?;
+        let Some(running) = Running::receive(answers) else { return Happened::Nothing };
         let is_same = clock.is_time_of(context.cycle, sent_at, running.time);
         let is_apart = running.sync.is_cyclic() && context.has_time && !is_same;
         self.runs = if is_apart { Runs::Apart } else { Runs::Harmless };
@@ -99,7 +99,10 @@ impl Slave {
             Note::None => self.not_joinable(now),
             refused => self.leave_running(now, refused),
         }
-        (running.sync.is_cyclic() && !context.has_time).then_some(running)
+        match running.sync.is_cyclic() && !context.has_time {
+            true => Happened::GivesTime(running.time),
+            false => Happened::Nothing,
+        }
     }
 
     /// It is part of the exchange: its PDOs and mode have still to be read.

@@ -136,13 +136,15 @@ pub enum Happened {
     Misplaced,
     /// Another master has changed its state or its settings.
     Intruded,
+    /// It was found running on this time, the lower half, which the segment is to have.
+    GivesTime(u32),
 }
 
 /// What was reached on the way to OP. It begins anew with another one.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Way {
-    /// It has its station address.
-    addressed: bool,
+    /// It has its station address, and is reached by it.
+    pub addressed: bool,
     /// Its process data are in the frames.
     pub mapped: Mapped,
     /// Its mailbox can be used.
@@ -417,11 +419,6 @@ impl Slave {
         (self.refused, self.refusals) = (Note::None, 0);
         let note = if counted > self.plan.place { Note::Unreachable(counted) } else { Note::Absent };
         self.start_over(now, LOOK_EVERY_NS, note);
-    }
-
-    /// It has its station address, and is reached by it.
-    pub fn is_addressed(&self) -> bool {
-        self.way.addressed
     }
 
     /// What was meant for another slave may have been written to it: it is looked at, and set up anew.

@@ -4,7 +4,6 @@ use super::request::AL_LOOK;
 use super::setup::WATCHDOG_DIVIDER;
 use super::step::Resumes;
 use super::{Change, Context, FMMUS_AT_ONCE, Happened, List, Mapped, Note, Phase, Runs, Slave, Step, Tie};
-use crate::segment::running::Running;
 use crate::sii::Reading;
 use crate::slot::Answers;
 use crate::wire::registers::{AlCode, AlState, AlStatus};
@@ -16,19 +15,8 @@ const SILENT: u8 = 3;
 const ERRORS: u8 = 3;
 
 impl Slave {
-    /// Takes the answer to its request; returns the time of a running slave, if the segment is to have it.
-    pub fn receive(&mut self, context: &Context<'_>, answers: &Answers<'_>) -> (Happened, Option<Running>) {
-        let step = self.step;
-        let happened = self.take_answers(context, answers);
-        let is_received = answers.iter().flatten().all(|answer| answer.working_counter > 0);
-        let running = match step {
-            Step::FoundClock { refused } if is_received => self.found_clock(context, refused, answers),
-            _ => None,
-        };
-        (happened, running)
-    }
-
-    fn take_answers(&mut self, context: &Context<'_>, answers: &Answers<'_>) -> Happened {
+    /// Takes the answer to its request.
+    pub fn receive(&mut self, context: &Context<'_>, answers: &Answers<'_>) -> Happened {
         let now = context.cycle.grid;
         // A lost frame: the same is requested again.
         let Some(first) = answers[0] else { return Happened::Nothing };
@@ -124,8 +112,8 @@ impl Slave {
             Step::State(change) => return self.went(now, change, answers),
             Step::Release => self.release(now),
             Step::Code => return self.receive_code(now, first.data),
-            Step::Rest(_) | Step::FoundClock { .. } => {}
-            Step::Objects { .. } | Step::Lock | Step::Up => {}
+            Step::FoundClock { refused } => return self.found_clock(context, refused, answers),
+            Step::Rest(_) | Step::Objects { .. } | Step::Lock | Step::Up => {}
             _ => self.receive_clock(context, first.data, answers[1].map_or(&[], |answer| answer.data)),
         }
         Happened::Nothing
