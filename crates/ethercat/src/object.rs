@@ -172,7 +172,7 @@ impl Type {
 
     /// As a byte; 0 is no type.
     fn code(self) -> u8 {
-        Self::ALL.iter().zip(1..).find(|(kind, _)| **kind == self).map_or(0, |(_, code)| code)
+        self as u8 + 1
     }
 }
 

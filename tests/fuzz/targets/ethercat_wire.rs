@@ -99,7 +99,7 @@ fn message(bytes: &[u8]) {
             }
             Some(Message::Emergency(emergency)) => drop(format!("{emergency:?}")),
             Some(Message::Refused(error)) => drop(error.to_string()),
-            Some(Message::Other { .. }) | None => {}
+            Some(Message::Other) | None => {}
         }
     }
     if let Some(response) = Response::parse(bytes) {

@@ -217,26 +217,18 @@ const MODES: [Mode; 9] = [
 
 /// A number, as a drive shows it or as its bits, or the name with dashes.
 fn mode(table: &mut Table<'_>) -> Option<Mode> {
-    let names = MODES.map(mode_name);
+    let names = MODES.map(|mode| mode.name().unwrap_or_default().replace(' ', "-"));
     let form = Form::integer(-128..=255).or(Form::words(names.iter().map(String::as_str)));
     table.read("mode", form, |value| {
-        let named = |name: &str| MODES.into_iter().find(|mode| mode_name(*mode) == name);
-        let mode = match (integer(value), value.as_str()) {
-            (Some(number), _) => {
-                i8::try_from(number).or_else(|_| u8::try_from(number).map(|bits| bits as i8)).ok().map(Mode)
-            }
-            (None, Some(name)) => named(name),
-            _ => None,
+        let bits =
+            |number: i128| i8::try_from(number).or_else(|_| u8::try_from(number).map(|bits| bits as i8));
+        let named = |text: &str| names.iter().zip(MODES).find(|(name, _)| *name == text);
+        let mode = match integer(value) {
+            Some(number) => bits(number).ok().map(Mode),
+            None => value.as_str().and_then(named).map(|(_, mode)| mode),
         };
-        mode.ok_or_else(|| {
-            let names: Vec<String> = MODES.into_iter().map(mode_name).collect();
-            format!("must be the number of a mode like 0x85, or one of {}", names.join(", "))
-        })
+        mode.ok_or_else(|| format!("must be the number of a mode like 0x85, or one of {}", names.join(", ")))
     })
-}
-
-fn mode_name(mode: Mode) -> String {
-    mode.name().unwrap_or_default().replace(' ', "-")
 }
 
 fn scaling(table: &mut Table<'_>, default: Scaling) -> Scaling {

@@ -202,15 +202,15 @@ impl KollmorgenDrive {
             Load::Level => "",
         };
         let what = match self.slave.ending() {
-            Ending::After(ns) => {
+            Watchdog::After(ns) => {
                 return format!(
                     "the drive stops by itself within {} without a frame (SyncManager watchdog) and switches \
                      its power off{held}",
                     Ns(ns)
                 );
             }
-            Ending::Sii => "its watchdog is as its SII has it (of an AKD none)",
-            Ending::None => "its watchdog is off",
+            Watchdog::AsDelivered => "its watchdog is as its SII has it (of an AKD none)",
+            Watchdog::Off => "its watchdog is off",
         };
         let end = match (self.setpoint(), self.accept_no_watchdog) {
             (Some(Setpoint::Position(_)), _) => "holds its last position setpoint under power",
@@ -221,7 +221,7 @@ impl KollmorgenDrive {
                 );
             }
         };
-        let may = if self.slave.ending() == Ending::Sii { "without one it" } else { "so it" };
+        let may = if self.slave.ending() == Watchdog::AsDelivered { "without one it" } else { "so it" };
         format!("{what}, {may} {end}{held}")
     }
 }
@@ -272,23 +272,12 @@ impl Expected {
     }
 }
 
-/// What ends the outputs of a slave when no frame comes any more.
-#[derive(Clone, Copy, PartialEq)]
-enum Ending {
-    /// Its watchdog with this time, ns.
-    After(u64),
-    /// What its SII says.
-    Sii,
-    /// No watchdog.
-    None,
-}
-
 impl SlavePlan {
-    fn ending(&self) -> Ending {
+    /// Its watchdog as it will be: without its SII nothing is delivered.
+    fn ending(&self) -> Watchdog {
         match self.watchdog {
-            Watchdog::After(ns) => Ending::After(ns),
-            Watchdog::AsDelivered if self.check_sii => Ending::Sii,
-            Watchdog::AsDelivered | Watchdog::Off => Ending::None,
+            Watchdog::AsDelivered if !self.check_sii => Watchdog::Off,
+            watchdog => watchdog,
         }
     }
 
@@ -307,9 +296,11 @@ impl Device {
         let SlavePlan { identity, outputs, .. } = &self.slave;
         let end = match self.slave.ending() {
             _ if outputs.is_empty() => String::new(),
-            Ending::After(ns) => format!("; its outputs go off within {} without a frame", Ns(ns)),
-            Ending::Sii => "; its watchdog is as its SII has it (of most digital terminals 100 ms)".into(),
-            Ending::None => "; its watchdog is off, so only the device itself ends its outputs".into(),
+            Watchdog::After(ns) => format!("; its outputs go off within {} without a frame", Ns(ns)),
+            Watchdog::AsDelivered => {
+                "; its watchdog is as its SII has it (of most digital terminals 100 ms)".into()
+            }
+            Watchdog::Off => "; its watchdog is off, so only the device itself ends its outputs".into(),
         };
         let bytes = if self.slave.output_bytes() == 1 { "byte" } else { "bytes" };
         let unchecked = self.slave.unchecked();

@@ -119,11 +119,6 @@ impl SegmentClock {
         (off + period / 2).rem_euclid(period) - period / 2
     }
 
-    /// Whole periods of a time that another master has set are no error.
-    fn take_whole(&mut self, off: i64, error: i64) {
-        self.origin_ns = self.origin_ns.wrapping_add((off - error) as u64);
-    }
-
     /// The time sent at `at` to a reference that follows: the segment's time, once the reference has been adjusted
     /// to it. A clock from which drives make SYNC0 must not be adjusted faster than they tolerate.
     pub fn sent_time(&self, cycle: &Cycle, at: Time) -> u64 {
@@ -187,7 +182,8 @@ impl SegmentClock {
             self.first.sort_unstable();
             let off = i64::from(self.first[FIRST / 2]);
             self.slew_ns = self.phase(off);
-            self.take_whole(off, self.slew_ns);
+            // Whole periods of a time that another master has set are no error.
+            self.origin_ns = self.origin_ns.wrapping_add_signed(off - self.slew_ns);
             (self.error_ns, self.new) = (self.slew_ns, true);
         }
     }

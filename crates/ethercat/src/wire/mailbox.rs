@@ -100,12 +100,7 @@ pub enum Message<'a> {
     /// The slave could not use the mailbox message.
     Refused(MailboxError),
     /// Another protocol or service: not for this master.
-    Other {
-        /// The type.
-        kind: u8,
-        /// The service, if it is CoE.
-        service: u8,
-    },
+    Other,
 }
 
 /// Why a slave could not use a mailbox message.
@@ -184,10 +179,10 @@ pub fn parse(mailbox: &[u8]) -> Option<Message<'_>> {
                     let response = sdo::Response::parse(data)?;
                     Some(Message::Sdo { counter, response })
                 }
-                service => Some(Message::Other { kind, service }),
+                _ => Some(Message::Other),
             }
         }
-        kind => Some(Message::Other { kind, service: 0 }),
+        _ => Some(Message::Other),
     }
 }
 
@@ -237,7 +232,7 @@ mod tests {
             // In place of an answer.
             ("0A00 0000 00 03 0010 1043 08 01 00000000", Some(Message::Emergency(hot))),
             ("0A00 0000 00 33 0020 80 FF5F 01 00000206", sdo(3, abort)),
-            ("0400 0000 00 02 00000000", Some(Message::Other { kind: 2, service: 0 })),
+            ("0400 0000 00 02 00000000", Some(Message::Other)),
             // No message.
             ("0000 0000 00", None),
             ("0900 0000 00 03 0030", None),

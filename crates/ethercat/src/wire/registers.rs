@@ -84,30 +84,25 @@ pub mod address {
 
 /// A state of the EtherCAT state machine.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+#[repr(u8)]
 pub enum AlState {
     /// No mailbox, no process data.
     #[default]
-    Init,
+    Init = 1,
     /// Mailbox.
-    PreOp,
+    PreOp = 2,
     /// Firmware download.
-    Boot,
+    Boot = 3,
     /// Mailbox, and inputs.
-    SafeOp,
+    SafeOp = 4,
     /// Mailbox, inputs and outputs.
-    Op,
+    Op = 8,
 }
 
 impl AlState {
     /// Its number on the wire.
     pub const fn number(self) -> u8 {
-        match self {
-            AlState::Init => 1,
-            AlState::PreOp => 2,
-            AlState::Boot => 3,
-            AlState::SafeOp => 4,
-            AlState::Op => 8,
-        }
+        self as u8
     }
 
     /// The state of this number; `None`: none, or the bits of several slaves or-ed.
@@ -387,11 +382,6 @@ impl Fmmu {
         Fmmu { logical, length, bits: (0, 7), physical: (physical, 0), output, active: true }
     }
 
-    /// A single bit of a slave, read into bit 0 of a byte.
-    pub const fn bit(logical: u32, physical: u16, bit: u8) -> Fmmu {
-        Fmmu { logical, length: 1, bits: (0, 0), physical: (physical, bit), output: false, active: true }
-    }
-
     /// As it is written.
     pub const fn to_bytes(self) -> [u8; Self::SIZE] {
         let [a, b, c, d] = self.logical.to_le_bytes();
@@ -449,7 +439,7 @@ mod tests {
     fn fmmus_stand_as_real_masters_wrote_them() {
         let outputs = Fmmu::bytes(0, 17, 0x1100, true);
         assert_eq!(outputs.to_bytes(), [0, 0, 0, 0, 17, 0, 0, 7, 0, 0x11, 0, 2, 1, 0, 0, 0]);
-        let full = Fmmu::bit(0x0900_0000, 0x080D, 0);
+        let full = Fmmu { bits: (0, 0), ..Fmmu::bytes(0x0900_0000, 1, 0x080D, false) };
         assert_eq!(full.to_bytes(), [0, 0, 0, 9, 1, 0, 0, 0, 0x0D, 8, 0, 1, 1, 0, 0, 0]);
         for fmmu in [outputs, full, Fmmu::bytes(17, 17, 0x1140, false)] {
             assert_eq!(Fmmu::new(fmmu.to_bytes()), fmmu);

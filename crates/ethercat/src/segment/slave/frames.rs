@@ -60,10 +60,8 @@ impl Slave {
     /// A write counts twice, if it is one datagram with the read.
     #[inline]
     fn written(&self) -> u16 {
-        match !self.plan.outputs.is_empty() {
-            true if self.lrw => 2,
-            written => written.into(),
-        }
+        let times = if self.lrw { 2 } else { 1 };
+        if self.plan.outputs.is_empty() { 0 } else { times }
     }
 
     /// Another master has taken it out of OP, by the state that its image shows: a slave that falls by itself reports

@@ -16,11 +16,6 @@ const OWNER_LOOKS: u8 = 50;
 const IDENTIFIES_WITHIN_NS: u64 = 500 * MS;
 
 impl Slave {
-    /// What its SII has is compared with the configuration.
-    fn wants_sii(&self) -> bool {
-        self.plan.check_sii || self.plan.identity.is_in_sii()
-    }
-
     /// Who it is, as far as the configuration wants to know that.
     pub(super) fn identify(&mut self, now: Time) {
         self.delivered = Managers::default();
@@ -28,7 +23,8 @@ impl Slave {
             Some(wanted) if wanted != self.alias => {
                 self.leave_running(now, Note::Alias { found: self.alias, wanted });
             }
-            _ if self.wants_sii() => self.enter(now, Step::SiiForce),
+            // What its SII has is compared with the configuration.
+            _ if self.plan.check_sii || self.plan.identity.is_in_sii() => self.enter(now, Step::SiiForce),
             _ => self.known_by_sii(now),
         }
     }
@@ -67,10 +63,8 @@ impl Slave {
         let is_processors =
             owner.is_none_or(|owner| owner.working_counter == 0 || sii::is_processors(owner.data));
         if !is_processors {
-            self.enter(
-                now,
-                Step::Sii(Reader::new(Managers::new(self.plan.identity.serial.is_some()), SII_LOOKS)),
-            );
+            let managers = Managers::new(self.plan.identity.serial.is_some());
+            self.enter(now, Step::Sii(Reader::new(managers, SII_LOOKS)));
         } else if looks < OWNER_LOOKS {
             self.step = Step::SiiTake { looks: looks + 1 };
         } else {

@@ -82,7 +82,7 @@ fn the_state_stands_in_the_image_by_a_spare_fmmu_and_counts_in_every_state() {
     let mut chip = chip(|settings| settings.device_id = Some(0x1234));
     let mailbox = SyncManager { start: 0x1C00, length: 16, control: SyncManager::MAILBOX_IN, activate: 1 };
     assert!(chip.write(address::sync_manager(1), &mailbox.to_bytes()));
-    map(&mut chip, 2, Fmmu::bit(0x0900_0000, 0x080D, 0));
+    map(&mut chip, 2, Fmmu { bits: (0, 0), ..Fmmu::bytes(0x0900_0000, 1, 0x080D, false) });
     let mut flag = [0xF0];
     assert!(chip.read_logical(0x0900_0000, &mut flag) && flag == [0xF0]);
     chip.put_message(&[1; 16]);
