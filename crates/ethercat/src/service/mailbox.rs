@@ -18,6 +18,8 @@
 //! status the first bytes of a longer mailbox are read: then its last byte and the rest of the message follow in
 //! the next slot.
 
+use std::ops::Range;
+
 use super::super::counters::Own;
 use super::super::plan::Area;
 use super::super::slot::{Answer, Answers, Ask, ROOM};
@@ -129,17 +131,13 @@ enum Reading {
 enum Pending {
     Write,
     Look,
-    Piece(Piece),
+    /// A part of the message; `closes`: the last byte of the mailbox is read with it.
+    Piece {
+        at: usize,
+        length: usize,
+        closes: bool,
+    },
     Toggle(u8),
-}
-
-/// A part of the message.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Piece {
-    at: usize,
-    length: usize,
-    /// The last byte of the mailbox is read with it.
-    closes: bool,
 }
 
 /// The result of a slot.
@@ -294,7 +292,7 @@ impl Mailbox {
             None => false,
             Some(Pending::Write) => self.request_write(ask),
             Some(Pending::Look) => self.request_look(ask),
-            Some(Pending::Piece(piece)) => self.request_piece(piece, ask),
+            Some(Pending::Piece { at, length, closes }) => self.request_piece(at, length, closes, ask),
             Some(Pending::Toggle(toggle)) => ask.write(Command::Fpwr(self.station, ACTIVATE), &[ON | toggle]),
         };
         // The room that others left in the slot may be too small.
@@ -303,7 +301,7 @@ impl Mailbox {
 
     fn next(&self, now: Time) -> Option<Pending> {
         let rest = match (self.reading, self.sending) {
-            (Reading::There(at), _) => return Some(Pending::Piece(self.piece(at))),
+            (Reading::There(at), _) => return Some(self.piece(at)),
             (Reading::Repeat { toggle, .. }, _) => return Some(Pending::Toggle(toggle)),
             (Reading::Lost, _) => return Some(Pending::Look),
             (Reading::Nothing, Sending::Due { .. }) if self.stale => return Some(Pending::Look),
@@ -329,23 +327,21 @@ impl Mailbox {
             && (head || ask.read(Command::Fprd(self.station, self.input.start), HEAD))
     }
 
-    fn request_piece(&self, piece: Piece, ask: &mut Ask) -> bool {
-        let (start, length) = (self.input.start, self.input.length);
-        let at = start.wrapping_add(piece.at as u16);
-        let is_read = piece.length == 0 || ask.read(Command::Fprd(self.station, at), piece.length);
-        let reaches_end = piece.at + piece.length == self.read.len();
-        let last = Command::Fprd(self.station, start.wrapping_add(length - 1));
-        is_read && (!piece.closes || reaches_end || ask.read(last, 1))
+    fn request_piece(&self, at: usize, length: usize, closes: bool, ask: &mut Ask) -> bool {
+        let read = |at: usize| Command::Fprd(self.station, self.input.start.wrapping_add(at as u16));
+        let reaches_end = at + length == self.read.len();
+        (length == 0 || ask.read(read(at), length))
+            && (!closes || reaches_end || ask.read(read(self.read.len() - 1), 1))
     }
 
     /// The part to be read after the first `at` bytes.
-    fn piece(&self, at: usize) -> Piece {
+    fn piece(&self, at: usize) -> Pending {
         if at < HEADER {
             let length = self.read.len().min(HEAD);
-            return Piece { at: 0, length, closes: length == self.read.len() };
+            return Pending::Piece { at: 0, length, closes: length == self.read.len() };
         }
         let rest = mailbox::extent(&self.read, self.read.len()).saturating_sub(at);
-        Piece { at, length: rest.min(ROOM - 1), closes: rest < ROOM }
+        Pending::Piece { at, length: rest.min(ROOM - 1), closes: rest < ROOM }
     }
 
     /// Takes the answer to its request.
@@ -354,7 +350,9 @@ impl Mailbox {
             None => Received::Nothing,
             Some(Pending::Write) => self.receive_write(now, answers, counters),
             Some(Pending::Look) => self.receive_look(now, answers, counters),
-            Some(Pending::Piece(piece)) => self.receive_piece(piece, answers, counters),
+            Some(Pending::Piece { at, length, closes }) => {
+                self.receive_piece(at..at + length, closes, answers, counters)
+            }
             Some(Pending::Toggle(toggle)) => {
                 let Reading::Repeat { since, .. } = self.reading else { return Received::Nothing };
                 if done(&answers[0]) {
@@ -426,9 +424,14 @@ impl Mailbox {
         Received::Nothing
     }
 
-    fn receive_piece(&mut self, piece: Piece, answers: &Answers<'_>, counters: &mut Counters) -> Received {
-        let Piece { at, length, closes } = piece;
-        let end = at + length;
+    fn receive_piece(
+        &mut self,
+        part: Range<usize>,
+        closes: bool,
+        answers: &Answers<'_>,
+        counters: &mut Counters,
+    ) -> Received {
+        let (length, end) = (part.len(), part.end);
         let is_apart = closes && end < self.read.len();
         let (data, last) = match (length, is_apart) {
             (0, _) => (Some(&[][..]), answers[0]),
@@ -449,7 +452,7 @@ impl Mailbox {
             }
             return Received::Nothing;
         };
-        if let Some(place) = self.read.get_mut(at..end) {
+        if let Some(place) = self.read.get_mut(part) {
             place.copy_from_slice(data);
         }
         self.reading = if closes { Reading::Nothing } else { Reading::There(end) };

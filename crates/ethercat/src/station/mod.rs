@@ -351,10 +351,12 @@ impl Station {
         let Slot { status: report, notices, evidence, .. } = slot;
         report.suspect = false;
         notices.restarted |= std::mem::take(&mut self.was_restarted);
-        report.state = if self.seen.inputs.operational {
-            self.seen.inputs.state
-        } else {
-            below_op(self.seen.inputs.state)
+        report.state = match self.seen.inputs.state {
+            // Below OP it follows no setpoint.
+            State::OperationEnabled | State::QuickStopActive if !self.seen.inputs.operational => {
+                State::SwitchedOn
+            }
+            state => state,
         };
         self.seen.inputs.is_powered = report.state.is_powered();
         let inputs = &self.seen.inputs;
@@ -460,13 +462,5 @@ impl Station {
         inputs.named = inputs.fault != 0;
         let clearing = Clearing::of(&self.seen.emergency);
         inputs.cold = matches!(clearing, Some(Clearing::ColdStart | Clearing::Never));
-    }
-}
-
-/// The reported state of a drive below OP: it follows no setpoint.
-fn below_op(state: State) -> State {
-    match state {
-        State::OperationEnabled | State::QuickStopActive => State::SwitchedOn,
-        state => state,
     }
 }

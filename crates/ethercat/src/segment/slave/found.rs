@@ -116,8 +116,13 @@ impl Slave {
 
     /// All of it is as configured.
     pub(super) fn joined_whole(&mut self, now: Time) {
-        (self.way.was_operational, self.note) = (true, Note::None);
         self.remark = self.unarmed();
+        self.runs_on(now);
+    }
+
+    /// It is in operation as it was found.
+    pub(super) fn runs_on(&mut self, now: Time) {
+        (self.way.was_operational, self.note) = (true, Note::None);
         (self.refused, self.refusals) = (Note::None, 0);
         self.enter(now, Step::Up);
     }

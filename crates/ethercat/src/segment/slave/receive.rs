@@ -110,28 +110,17 @@ impl Slave {
                 self.enter(now, self.step_of_clock());
             }
             Step::State(change) => return self.went(now, change, answers),
-            Step::Release => self.release(now),
+            // Its outputs are released.
+            Step::Release => {
+                self.way.mapped = Mapped::All;
+                self.enter(now, Step::Up);
+            }
             Step::Code => return self.receive_code(now, first.data),
             Step::FoundClock { refused } => return self.found_clock(context, refused, answers),
             Step::Rest(_) | Step::Objects { .. } | Step::Lock | Step::Up => {}
             _ => self.receive_clock(context, first.data, answers[1].map_or(&[], |answer| answer.data)),
         }
         Happened::Nothing
-    }
-
-    /// The steps of its clock.
-    fn receive_clock(&mut self, context: &Context<'_>, first: &[u8], second: &[u8]) {
-        let now = context.cycle.grid;
-        match self.step {
-            Step::Time => self.timed(context, first),
-            Step::Offset(setting) => self.offset_set(context, setting),
-            Step::Correct(setting) => self.corrected(context, setting, first),
-            Step::Settle { good, .. } => self.settled(context, good, first),
-            Step::SegmentTime => self.segment_time(now, context, second),
-            Step::SyncStart { segment_ns, .. } => self.enter(now, Step::SyncOn { segment_ns }),
-            Step::SyncOn { segment_ns } => self.sync_on(now, context, segment_ns),
-            _ => {}
-        }
     }
 
     /// The settings were read back.

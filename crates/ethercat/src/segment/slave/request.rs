@@ -274,10 +274,4 @@ impl Slave {
         let control = change.acknowledge.unwrap_or(AlStatus::request(change.to));
         self.write(address::AL_CONTROL, &control.0.to_le_bytes(), ask);
     }
-
-    /// Its outputs are released.
-    pub(super) fn release(&mut self, now: Time) {
-        self.way.mapped = Mapped::All;
-        self.enter(now, Step::Up);
-    }
 }

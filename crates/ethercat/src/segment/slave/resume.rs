@@ -131,9 +131,7 @@ impl Slave {
         match resumes {
             Resumes::Op => {
                 self.clock_set = self.plan.sync;
-                (self.way.was_operational, self.note) = (true, Note::None);
-                (self.refused, self.refusals) = (Note::None, 0);
-                self.enter(now, Step::Up);
+                self.runs_on(now);
             }
             Resumes::Clock => self.enter(now, Step::Time),
             // By way of SAFEOP, where the grid has to be locked first.

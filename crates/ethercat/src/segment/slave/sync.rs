@@ -74,8 +74,40 @@ impl Slave {
         context.other_time.is_some() || !context.may_begin && context.cycle.grid.since(self.since) > looks_ns
     }
 
+    /// The answers to the steps of its clock.
+    pub(super) fn receive_clock(&mut self, context: &Context<'_>, first: &[u8], second: &[u8]) {
+        let now = context.cycle.grid;
+        match self.step {
+            Step::Time => self.timed(context, first),
+            Step::Offset(setting) => {
+                self.clock_set = true;
+                match self.is_reference(context) {
+                    true => self.continue_timed(now),
+                    false => self.enter(now, Step::Correct(setting)),
+                }
+            }
+            Step::Correct(setting) => self.corrected(context, setting, first),
+            Step::Settle { good, .. } => self.settled(context, good, first),
+            Step::SegmentTime => {
+                let Some(own) = second.first_chunk().map(|bytes| u64::from_le_bytes(*bytes)) else { return };
+                let segment_ns = near(context.clock.time(context.cycle, context.sent_at), own as u32);
+                let ahead_ns = own.wrapping_sub(segment_ns);
+                let segment_ns = context.clock.sync_from(segment_ns.wrapping_add(sync_ahead_ns(context)));
+                self.enter(now, Step::SyncStart { ahead_ns, segment_ns });
+            }
+            Step::SyncStart { segment_ns, .. } => self.enter(now, Step::SyncOn { segment_ns }),
+            Step::SyncOn { segment_ns } => {
+                // Its start must lie ahead, or there is none.
+                let left = segment_ns.wrapping_sub(context.clock.time(context.cycle, context.sent_at)) as i64;
+                let in_time = left > SYNC_LEFT_NS as i64;
+                self.enter(now, if in_time { Step::to(AlState::SafeOp) } else { Step::SegmentTime });
+            }
+            _ => {}
+        }
+    }
+
     /// Its own time and offset, as this frame read them.
-    pub(super) fn timed(&mut self, context: &Context<'_>, data: &[u8]) {
+    fn timed(&mut self, context: &Context<'_>, data: &[u8]) {
         let long = |at: usize| data.get(at..)?.first_chunk().map(|bytes| u64::from_le_bytes(*bytes));
         let (Some(shown), Some(before), Some(own_ns)) = (long(0), long(OFFSET_AT), self.delay_ns) else {
             return;
@@ -87,17 +119,8 @@ impl Slave {
         self.enter(context.cycle.grid, Step::Offset(Setting { offset, delay_ns, corrected: 0 }));
     }
 
-    /// The values written to its delay and offset were accepted.
-    pub(super) fn offset_set(&mut self, context: &Context<'_>, setting: Setting) {
-        self.clock_set = true;
-        match self.is_reference(context) {
-            true => self.continue_timed(context.cycle.grid),
-            false => self.enter(context.cycle.grid, Step::Correct(setting)),
-        }
-    }
-
     /// Its difference to the reference with that offset.
-    pub(super) fn corrected(&mut self, context: &Context<'_>, setting: Setting, data: &[u8]) {
+    fn corrected(&mut self, context: &Context<'_>, setting: Setting, data: &[u8]) {
         let now = context.cycle.grid;
         let Some(off) = difference_ns(data) else { return };
         // It ran at its limit until its offset was set for the first time.
@@ -112,7 +135,7 @@ impl Slave {
         self.enter(now, Step::Offset(Setting { offset, corrected: setting.corrected + 1, ..setting }));
     }
 
-    pub(super) fn settled(&mut self, context: &Context<'_>, good: u8, data: &[u8]) {
+    fn settled(&mut self, context: &Context<'_>, good: u8, data: &[u8]) {
         let now = context.cycle.grid;
         let limit_ns = SETTLE_NS.max(context.cycle.period_ns.saturating_mul(SETTLE_CYCLES));
         let Some(off) = difference_ns(data) else { return };
@@ -131,22 +154,6 @@ impl Slave {
             let next = now + SETTLE_LOOK_NS.max(2 * context.turn_ns);
             self.step = Step::Settle { good, next };
         }
-    }
-
-    /// Its own time, as this frame read it.
-    pub(super) fn segment_time(&mut self, now: Time, context: &Context<'_>, data: &[u8]) {
-        let Some(own) = data.first_chunk::<8>().map(|bytes| u64::from_le_bytes(*bytes)) else { return };
-        let segment_ns = near(context.clock.time(context.cycle, context.sent_at), own as u32);
-        let ahead_ns = own.wrapping_sub(segment_ns);
-        let segment_ns = context.clock.sync_from(segment_ns.wrapping_add(sync_ahead_ns(context)));
-        self.enter(now, Step::SyncStart { ahead_ns, segment_ns });
-    }
-
-    /// SYNC0 was switched on: its start must lie ahead, or there is none.
-    pub(super) fn sync_on(&mut self, now: Time, context: &Context<'_>, segment_ns: u64) {
-        let left = segment_ns.wrapping_sub(context.clock.time(context.cycle, context.sent_at)) as i64;
-        let in_time = left > SYNC_LEFT_NS as i64;
-        self.enter(now, if in_time { Step::to(AlState::SafeOp) } else { Step::SegmentTime });
     }
 
     /// A time that its clock can have.
