@@ -260,6 +260,16 @@ impl Target {
         Some(Target { object, kind: kind.or_else(own), complete: false })
     }
 
+    /// It is read as bytes, and is no number.
+    fn is_bytes(&self) -> bool {
+        self.complete || self.kind.is_some_and(Type::is_string)
+    }
+
+    /// These bytes of it as people write them.
+    fn shown(&self, bytes: &[u8]) -> String {
+        if self.kind == Some(Type::Text) { long::text(bytes) } else { long::octets(bytes) }
+    }
+
     /// The value of raw bits; unsigned where no type is known.
     fn number(self, raw: u64) -> i64 {
         self.kind.map_or(i64::try_from(raw).unwrap_or(i64::MAX), |kind| kind.number(raw))

@@ -29,7 +29,7 @@ use fieldbeat_core::bus::{Bus, DriveEnds, Exchange, Opened, Slot};
 use fieldbeat_core::net::frames::{MAC, Unsent};
 use fieldbeat_core::net::{Carriers, Datagrams, Frames, UdpOptions};
 use fieldbeat_core::rt::Regions;
-use fieldbeat_ethercat::image::{Returned, returned};
+use fieldbeat_ethercat::image::{Read, returned};
 use fieldbeat_ethercat::wire::frame::{Command as DatagramCommand, Datagram, datagrams};
 
 use super::commanded::Commanded;
@@ -337,7 +337,7 @@ fn said(sent: &[u8], frame: &[u8], index: usize) -> Option<(u16, u32)> {
         let command = datagram.command()?;
         let stays = !states && !matches!(command, DatagramCommand::Brd(_));
         states |= matches!(command, DatagramCommand::Brd(_));
-        let Returned::Counted(_) = returned(sent, frame, datagram.place, stays) else { return None };
+        let Read::Good(_) = returned(sent, frame, datagram.place, stays) else { return None };
         if matches!(command, DatagramCommand::Lrw(_)) {
             let at = datagram.place.data().start + DRIVES * OUTPUTS + TERMINAL + index * INPUTS;
             let bytes = frame.get(at..at + INPUTS)?;

@@ -1,7 +1,7 @@
 //! A frame, a mailbox message and the words of an EEPROM, for every parser of what comes from a line: no bytes make it
 //! panic, nothing reaches beyond what it was given, and what was understood is built again as the same bytes.
 
-use fieldbeat_ethercat::image::{Returned, returned};
+use fieldbeat_ethercat::image::{Read, returned};
 use fieldbeat_ethercat::wire::frame::{
     Builder, DATAGRAM_HEADER, Datagram, FRAME_MAX, HEADER, WORKING_COUNTER, datagrams, set_command, set_index,
 };
@@ -59,7 +59,7 @@ fn again(bytes: &[u8], read: &[Datagram<'_>]) {
             (built.command(), built.index, built.data) == (datagram.command(), datagram.index, datagram.data);
         assert!(same && built.working_counter == 0 && !built.circulated);
         let back = returned(&out, &out, built.place, true);
-        assert_eq!(back, Returned::Counted(0), "a frame is its own reply");
+        assert_eq!(back, Read::Good(0), "a frame is its own reply");
     }
     if let Some(mut builder) = Builder::resume(&mut out[..FRAME_MAX], stem) {
         assert!(builder.push(fieldbeat_ethercat::wire::frame::Command::Nop, 0, 2).is_some());
@@ -73,7 +73,7 @@ fn held_against(sent: &[u8], received: &[u8]) {
     let Ok(all) = datagrams(sent) else { return };
     for datagram in all.map_while(Result::ok) {
         for stays in [true, false] {
-            if let Returned::Counted(counter) = returned(sent, received, datagram.place, stays) {
+            if let Read::Good(counter) = returned(sent, received, datagram.place, stays) {
                 let end = datagram.place.data().end;
                 assert_eq!(received[end..end + 2], counter.to_le_bytes());
                 assert_eq!(received[datagram.place.at + 1], datagram.index);

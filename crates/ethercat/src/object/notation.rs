@@ -68,14 +68,13 @@ impl Notation for Objects {
 
     fn value(&self, address: &str, text: &str) -> Result<u64, NotationError> {
         let (target, kind) = Objects::typed(address, text)?;
-        let wrong = |form: String| NotationError::Value { value: text.to_owned(), form };
-        if kind == Type::Text {
-            let form = format!("1 to {MOST} characters of ASCII");
-            return string(kind, text).map(|bytes| long::raw(&bytes)).ok_or_else(|| wrong(form));
-        }
-        if kind == Type::Octets {
-            let form = format!("1 to {MOST} bytes of two digits each, like \"01 A0\"");
-            return string(kind, text).map(|bytes| long::raw(&bytes)).ok_or_else(|| wrong(form));
+        if kind.is_string() {
+            let form = match kind {
+                Type::Octets => format!("1 to {MOST} bytes of two digits each, like \"01 A0\""),
+                _ => format!("1 to {MOST} characters of ASCII"),
+            };
+            let wrong = NotationError::Value { value: text.to_owned(), form };
+            return string(kind, text).map(|bytes| long::raw(&bytes)).ok_or(wrong);
         }
         let (low, high) = match target.object.known() {
             Some(known) if known.kind == kind => (known.min, known.max),
@@ -98,17 +97,12 @@ impl Notation for Objects {
 
     fn show(&self, address: &str, raw: u64) -> String {
         let target = Target::parse(address);
-        if target.is_some_and(|target| target.complete) {
-            return long::octets(&raw.to_le_bytes());
+        if let Some(target) = target.filter(Target::is_bytes) {
+            return target.shown(&raw.to_le_bytes());
         }
         let Some(kind) = target.and_then(|target| target.kind) else {
             return format!("{raw} (0x{raw:X})");
         };
-        match kind {
-            Type::Text => return long::text(&raw.to_le_bytes()),
-            Type::Octets => return long::octets(&raw.to_le_bytes()),
-            _ => {}
-        }
         let raw = kind.raw(raw as i64);
         let number = kind.number(raw);
         shown(self.quantity(address).map(|quantity| quantity.show(number)), number, raw)
@@ -130,14 +124,9 @@ impl Notation for Objects {
     }
 
     fn read_long(&self, carrier: &dyn Carrier, address: &str) -> Option<Result<(u64, String), CallError>> {
-        let is_long = |target: &Target| target.complete || target.kind.is_some_and(Type::is_string);
-        let target = Target::parse(address).filter(is_long)?;
+        let target = Target::parse(address).filter(Target::is_bytes)?;
         let read = long::read(carrier, target.pack(), self.limit(&target.read()));
-        Some(read.map(|bytes| {
-            let text =
-                if target.kind == Some(Type::Text) { long::text(&bytes) } else { long::octets(&bytes) };
-            (long::raw(&bytes), text)
-        }))
+        Some(read.map(|bytes| (long::raw(&bytes), target.shown(&bytes))))
     }
 
     fn write_long(&self, address: &str, text: &str) -> Option<Vec<Call>> {
