@@ -177,10 +177,13 @@ impl Service {
     }
 
     fn is_commanding(&self, active: &Active) -> bool {
-        match (&active.by, &self.port) {
-            (By::Call(posted, _), Some(port)) => port.commands(posted),
-            _ => false,
-        }
+        self.call_of(active).is_some_and(|(port, posted)| port.commands(posted))
+    }
+
+    /// The call of the application that this is.
+    fn call_of<'a>(&'a self, active: &'a Active) -> Option<(&'a Port, &'a Posted)> {
+        let By::Call(posted, _) = &active.by else { return None };
+        Some((self.port.as_ref()?, posted))
     }
 
     fn go_on(&mut self, now: Time, link: Link) {
@@ -194,16 +197,12 @@ impl Service {
         }
         if let Some(active) = &self.active {
             let is_late = active.is_late(now, self.answer_ns);
-            let refusal = match (&active.by, &self.port) {
-                (By::Call(posted, _), Some(port)) if !active.gone_out => port.refusal(posted),
-                _ => None,
-            };
-            let why = match &active.by {
+            let call = self.call_of(active);
+            let refusal = call.filter(|_| !active.gone_out).and_then(|(port, posted)| port.refusal(posted));
+            let why = match call {
                 _ if refusal.is_some() => refusal,
-                By::Call(posted, _) if self.port.as_ref().is_some_and(|port| port.is_cancelled(posted)) => {
-                    Some(CallError::Cancelled)
-                }
-                By::Call(..) if is_down => Some(CallError::NotOnline),
+                Some((port, posted)) if port.is_cancelled(posted) => Some(CallError::Cancelled),
+                Some(_) if is_down => Some(CallError::NotOnline),
                 _ if active.is_over(now) => Some(CallError::TimedOut),
                 _ => None,
             };
@@ -294,12 +293,10 @@ impl Service {
 
     /// Its answer was lost, or is late: the transfer begins anew, as often as it may.
     fn repeat(&mut self, now: Time) {
+        // Its power may have come on meanwhile.
+        let call = self.active.as_ref().and_then(|active| self.call_of(active));
+        let is_refused = call.is_some_and(|(port, posted)| port.refusal(posted).is_some());
         let (Some(active), Some(mailbox)) = (&mut self.active, &mut self.mailbox) else { return };
-        let is_refused = match (&active.by, &self.port) {
-            // Its power has come on meanwhile.
-            (By::Call(posted, _), Some(port)) => port.refusal(posted).is_some(),
-            _ => false,
-        };
         if mailbox.awaits() && active.attempts < ATTEMPTS && !is_refused {
             let post = if active.sdo.is_begun() { Post::First } else { Post::Again };
             active.repeat(now);

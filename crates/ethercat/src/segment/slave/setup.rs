@@ -193,14 +193,10 @@ impl Slave {
         if self.plan.mailbox.is_some() && !head.protocols.coe() {
             return Some(Note::NoCoe);
         }
-        let mailboxes = self.plan.mailbox.map_or([None; 2], |areas| areas.map(Some));
-        for (usage, (own, named)) in (1..).zip(mailboxes.into_iter().zip(head.mailboxes)) {
-            if let Some(own) = own
-                && named.start != 0
-                && own != named
-            {
-                return Some(differing(usage, own, named));
-            }
+        let mailboxes = self.plan.mailbox.into_iter().flatten().zip(head.mailboxes);
+        let mut others = (1..).zip(mailboxes).filter(|(_, (own, named))| named.start != 0 && own != named);
+        if let Some((usage, (own, named))) = others.next() {
+            return Some(differing(usage, own, named));
         }
         let kinds = [(3, Use::Outputs, &self.plan.outputs), (4, Use::Inputs, &self.plan.inputs)];
         kinds.into_iter().find_map(|(usage, kind, areas)| self.differs_in(usage, kind, areas))
