@@ -61,16 +61,13 @@ fn search(known: &Known<'_>, _: &[SocketAddrV4], goes_on: &dyn Fn() -> bool) -> 
 /// A drive is known by the identity in its SII.
 fn found(slave: &Slave) -> Found {
     let place = slave.place;
+    let other = |what: String| Found { what, lines: Vec::new() };
     let Ok(sii) = &slave.sii else {
-        return Found {
-            what: format!("a slave at position {place} whose SII is not read"),
-            lines: Vec::new(),
-        };
+        return other(format!("a slave at position {place} whose SII is not read"));
     };
     let (identity, name) = (sii.identity, if sii.name.is_empty() { "a slave" } else { &sii.name });
     if identity.vendor != KOLLMORGEN {
-        let what = format!("{name} at position {place}: no drive; write a [[bus.device]] for it");
-        return Found { what, lines: Vec::new() };
+        return other(format!("{name} at position {place}: no drive; write a [[bus.device]] for it"));
     }
     let families = [("s700", Family::S700), ("akd", Family::Akd)];
     let product = |family| KollmorgenDrive::new("", 0, family).slave.identity.product;

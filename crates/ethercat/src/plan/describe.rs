@@ -109,20 +109,16 @@ impl KollmorgenDrive {
         lines.push(self.describe_pdos());
         lines.extend(self.describe_rest());
         lines.extend(self.setpoint().map(|setpoint| self.describe_setpoint(setpoint)));
-        if self.native {
-            lines
-                .push("its targets are the application's, by native outputs (setpoints = \"native\")".into());
-        }
-        lines.extend(self.setpoint().map(|setpoint| commands(setpoint).to_owned()));
-        if !self.check_prbase {
-            lines.push(
-                "its increments per turn (608Fh) are not compared with prbase (check_prbase = false)".into(),
-            );
-        }
-        if self.absolute {
-            lines
-                .push("has its reference without a homing: its encoder is absolute (absolute = true)".into());
-        }
+        let native = "its targets are the application's, by native outputs (setpoints = \"native\")";
+        let unchecked = "its increments per turn (608Fh) are not compared with prbase (check_prbase = false)";
+        let absolute = "has its reference without a homing: its encoder is absolute (absolute = true)";
+        let said = [
+            self.native.then_some(native),
+            self.setpoint().map(commands),
+            (!self.check_prbase).then_some(unchecked),
+            self.absolute.then_some(absolute),
+        ];
+        lines.extend(said.into_iter().flatten().map(str::to_owned));
         lines.push(self.describe_sync(period_ns, ahead_ns));
         let shown: Vec<String> = self.show.into_iter().flatten().map(entry).collect();
         if !shown.is_empty() {
