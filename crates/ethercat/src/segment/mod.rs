@@ -186,7 +186,7 @@ impl Segment {
             let mut slave = Slave::new(owner, slave, offsets, plan.lrw);
             if let Owner::Drive(index) = owner {
                 let drive = &plan.drives[index];
-                slave.is_left = drive.axis.on_found_running == FoundRunning::Refuse;
+                slave.refuses_running = drive.axis.on_found_running == FoundRunning::Refuse;
                 slave.own = outputs::own(drive).into();
             }
             slave

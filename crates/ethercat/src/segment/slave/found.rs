@@ -129,7 +129,7 @@ impl Slave {
 
     /// It is not as configured.
     pub(super) fn not_joinable(&mut self, now: Time) {
-        if self.is_left {
+        if self.refuses_running {
             self.leave_running(now, Note::FoundRunning);
         } else {
             self.way = Way::default();

@@ -164,7 +164,7 @@ pub struct Way {
 /// The time that a slave runs on.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Runs {
-    /// It was not read yet, since it was away: it may run on any.
+    /// That was not read yet: a drive that may move may run on any.
     #[default]
     Unknown,
     /// The segment's or none; or it does not answer.
@@ -196,8 +196,8 @@ pub struct Slave {
     pub plan: SlavePlan,
     /// The process data go by LRW.
     lrw: bool,
-    /// Found running, and not to be joined, it is left alone; otherwise it is stopped.
-    pub is_left: bool,
+    /// Found running, and not to be joined, it is refused, and runs on; otherwise it is stopped.
+    pub refuses_running: bool,
     /// What is done with it at present.
     step: Step,
     since: Time,
@@ -231,6 +231,7 @@ pub struct Slave {
     counted: u16,
     /// The same when it last answered by its own station address.
     counted_as_ours: u16,
+    /// What this master has made of it.
     tie: Tie,
     /// It was given its station address by this master, and as far as is known the same slave still has it.
     given: bool,
