@@ -6,9 +6,11 @@
 //! | `config` | configurations: every mistake by its line, the samples, the defaults |
 //! | `conformance` | what every bus must do, clause by clause |
 //! | `virtual_time` | the whole machine in virtual time |
+//! | `proposing` | buses that build requests which never leave |
 
 mod config;
 mod conformance;
 #[path = "../support/forward.rs"]
 mod forward;
+mod proposing;
 mod virtual_time;

@@ -1,7 +1,6 @@
 //! What goes over the wire, written down on its way: drives and carriers that tell what passed through them, and that
 //! misbehave where the world's faults cannot (a drive that hears and acts but is not heard, a refused send).
 
-mod proposing;
 mod serial;
 
 use std::io;
@@ -20,9 +19,9 @@ use fieldbeat_core::net::{
 };
 use fieldbeat_core::rt::Regions;
 
-use self::proposing::Proposing;
 use self::serial::{TappedSerial, TappedSlave};
 use crate::conformance::subject::{Drive, NoMessage, Said, Subject};
+use crate::proposing::Proposing;
 
 /// ENOBUFS: what a full send buffer answers.
 const NO_BUFFER: i32 = 105;
@@ -287,7 +286,7 @@ impl BusPlan for Wire {
         let opened = self.plan.open(period_ns, &Tapped { carriers, wire: self })?;
         let proposals = self.log().proposals;
         Ok(match proposals {
-            Some(seed) => Opened { bus: Box::new(Proposing::new(opened.bus, seed)), ..opened },
+            Some(seed) => Proposing::of(opened, seed),
             None => opened,
         })
     }

@@ -29,6 +29,7 @@ use fieldbeat_ethercat::wire::registers::{AlState, AlStatus, address as register
 use fieldbeat_linudp::wire::{Request, Response, ResponseDef};
 use fieldbeat_modbus::Mapping;
 
+use crate::proposing::ProposingPlan;
 use crate::virtual_time::kollmorgen::{self, LINE};
 use crate::virtual_time::lenze::PORT;
 use crate::virtual_time::lenze::tap::TapWire;
@@ -143,6 +144,8 @@ pub struct Shape {
     /// So are LinMots whose track ends before their range does.
     pub short: u8,
     pub period_ns: u64,
+    /// Other requests are built before each one that leaves.
+    pub proposals: bool,
 }
 
 impl Shape {
@@ -159,6 +162,7 @@ impl Shape {
             operated: false,
             short: 0,
             period_ns: MS,
+            proposals: false,
         }
     }
 
@@ -683,6 +687,8 @@ fn master(
 ) -> Simulation {
     let options = WorldOptions::default();
     let options = WorldOptions { start: start.unwrap_or(options.start), ..options };
+    let proposing = |plan| Box::new(ProposingPlan { plan, seed: 1 }) as Box<dyn BusPlan>;
+    let buses = if shape.proposals { buses.into_iter().map(proposing).collect() } else { buses };
     let mut setup = Master::from_plan(plan_of(shape, buses));
     if let Some(log) = log {
         setup = log.of(setup);

@@ -39,6 +39,9 @@ use super::campaign::{self, Judged};
 const ROUNDS: usize = 12;
 /// Operators are slow: a hold lasts 200 ms.
 const OPERATED_ROUNDS: usize = 5;
+/// Every so many machines are run once more, with requests that are built and do not leave: each one that does is built
+/// anew then, and both runs are the same to the byte.
+const PROPOSED_EVERY: u64 = 8;
 /// Runs that the shortening of a failure may take.
 const TRIES: usize = 600;
 
@@ -202,7 +205,15 @@ fn judged(seed: u64) -> Judged<Tally> {
     let without = Without::parse(&env::var("ORACLE_WITHOUT").unwrap_or_default());
     let (shape, all) = drawn(seed, without);
     let (judged, tally) = rounds(shape, &all);
-    (tally, judged.map_err(|found| report(shape, &all, &found)))
+    let judged = judged.map_err(|found| report(shape, &all, &found));
+    if judged.is_ok() && !shape.operated && seed.is_multiple_of(PROPOSED_EVERY) {
+        let (_, proposing) = rounds(Shape { proposals: true, ..shape }, &all);
+        if !tally.is_that_of(&proposing) {
+            let why = format!("{shape:?}: what is built and does not leave has an effect: {tally:?}, {proposing:?}");
+            return (tally, Err(why));
+        }
+    }
+    (tally, judged)
 }
 
 #[test]

@@ -51,6 +51,16 @@ pub struct Tally {
     /// Stops by the master.
     pub stops: u64,
     pub effects: Effects,
+    /// All that passed the wires, in one number.
+    pub wire: u64,
+}
+
+impl Tally {
+    /// Two runs were the same to the byte, and in all ends.
+    pub fn is_that_of(&self, other: &Tally) -> bool {
+        let of = |tally: &Tally| [tally.wire, tally.accepted, tally.done, tally.failed, tally.aborted, tally.stops];
+        of(self) == of(other)
+    }
 }
 
 /// What happens to a machine, and has to have an effect in a campaign.
@@ -166,6 +176,7 @@ impl std::ops::AddAssign for Tally {
         self.aborted += other.aborted;
         self.stops += other.stops;
         self.effects.add(other.effects);
+        self.wire = self.wire.rotate_left(1) ^ other.wire;
     }
 }
 
@@ -292,13 +303,13 @@ impl Run {
             run.tally.sequences += AXES as u64;
             match judged {
                 Err(found) => {
-                    tally += run.tally;
+                    tally += run.end();
                     return (Err(found), tally, run.story);
                 }
                 Ok(true) => {}
                 // It cannot be made ready again: what was written, or a fault, stays.
                 Ok(false) => {
-                    tally += run.tally;
+                    tally += run.end();
                     let before = run.story.take();
                     match Run::new(shape, false, None) {
                         Ok(fresh) => run = Run { story: before, ..fresh },
@@ -307,8 +318,13 @@ impl Run {
                 }
             }
         }
-        tally += run.tally;
+        tally += run.end();
         (Ok(()), tally, run.story)
+    }
+
+    /// What it did, at its end.
+    fn end(&self) -> Tally {
+        Tally { wire: self.machine.sim.world().digest(), ..self.tally }
     }
 
     /// The rounds of one machine whose inputs are in `log`, up to the first one that it does not get over.

@@ -1,15 +1,33 @@
-//! A bus that builds requests which never leave: before each one that does, others, of which nothing may be seen.
+//! Buses that build requests which never leave: before each one that does, others, of which nothing may be seen. Each
+//! request that leaves is built anew for that, too.
 
 use std::os::fd::RawFd;
 
 use fastrand::Rng;
 use fieldbeat::axis::{NativeOwner, Profile};
-use fieldbeat::{Cycle, Time};
+use fieldbeat::bus::BusPlan;
+use fieldbeat::{Cycle, OpenError, Time};
 use fieldbeat_core::bus::counters::BusNumbers;
 use fieldbeat_core::bus::desired::{Desired, Intent, Mode, Motion, Power};
 use fieldbeat_core::bus::native::{NativeBytes, WantedOutputs};
-use fieldbeat_core::bus::{Bus, Slot};
+use fieldbeat_core::bus::{Bus, Opened, Slot};
+use fieldbeat_core::net::Carriers;
 use fieldbeat_core::rt::Regions;
+
+/// A plan whose bus is one of these.
+#[derive(Debug)]
+pub struct ProposingPlan {
+    pub plan: Box<dyn BusPlan>,
+    pub seed: u64,
+}
+
+impl BusPlan for ProposingPlan {
+    crate::forward_bus_plan!(plan);
+
+    fn open(&self, period_ns: u64, carriers: &dyn Carriers) -> Result<Opened, OpenError> {
+        Ok(Proposing::of(self.plan.open(period_ns, carriers)?, self.seed))
+    }
+}
 
 /// Serials that the loop does not come to.
 const PROPOSED: u64 = 1 << 40;
@@ -22,8 +40,10 @@ pub struct Proposing {
 }
 
 impl Proposing {
-    pub fn new(bus: Box<dyn Bus>, seed: u64) -> Proposing {
-        Proposing { bus, random: Rng::with_seed(seed), serial: PROPOSED }
+    /// The bus as it was opened, with what is drawn from this seed.
+    pub fn of(opened: Opened, seed: u64) -> Opened {
+        let proposing = Proposing { bus: opened.bus, random: Rng::with_seed(seed), serial: PROPOSED };
+        Opened { bus: Box::new(proposing), ..opened }
     }
 
     fn intent<T>(&mut self, value: T, before: Intent<T>) -> Intent<T> {
