@@ -72,20 +72,27 @@ impl<T: Part> Part for Option<T> {
     }
 }
 
-/// Writes bytes to the begin of `words`, eight in each.
-pub fn put_bytes(bytes: &[u8], words: &mut [u64]) {
-    for (word, bytes) in words.iter_mut().zip(bytes.chunks(size_of::<u64>())) {
-        *word = bytes.iter().rev().fold(0, |word, byte| word << 8 | u64::from(*byte));
-    }
-}
+/// Bytes, eight in each word, the lowest first.
+#[doc(hidden)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Bytes<const N: usize>(pub [u8; N]);
 
-/// The bytes that [`put_bytes`] wrote.
-pub fn take_bytes<const N: usize>(words: &[u64]) -> [u8; N] {
-    let mut bytes = [0; N];
-    for (bytes, word) in bytes.chunks_mut(size_of::<u64>()).zip(words) {
-        bytes.copy_from_slice(&word.to_le_bytes()[..bytes.len()]);
+impl<const N: usize> Part for Bytes<N> {
+    const WORDS: usize = N.div_ceil(size_of::<u64>());
+
+    fn put(&self, words: &mut [u64]) {
+        for (word, bytes) in words.iter_mut().zip(self.0.chunks(size_of::<u64>())) {
+            *word = bytes.iter().rev().fold(0, |word, byte| word << 8 | u64::from(*byte));
+        }
     }
-    bytes
+
+    fn take(words: &[u64]) -> Bytes<N> {
+        let mut bytes = [0; N];
+        for (bytes, word) in bytes.chunks_mut(size_of::<u64>()).zip(words) {
+            bytes.copy_from_slice(&word.to_le_bytes()[..bytes.len()]);
+        }
+        Bytes(bytes)
+    }
 }
 
 /// The words of the field that this reads.

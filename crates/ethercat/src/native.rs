@@ -8,29 +8,26 @@ use rtrb::{Consumer, Producer};
 use super::object::pdo::Layout;
 use super::object::{Object, Type};
 use fieldbeat_core::axis::Emergency;
-use fieldbeat_core::axis::cell::{self, Packed, Reader, Writer};
-use fieldbeat_core::bus::native::NativeBytes;
-use fieldbeat_core::inputs::{Inlet, InputLog};
-use fieldbeat_core::packed::{Part, put_bytes, take_bytes};
+use fieldbeat_core::bus::native::{self, Image, MOST_INPUTS, OUTPUTS};
+use fieldbeat_core::inputs::InputLog;
+use fieldbeat_core::packed::Bytes;
+use fieldbeat_core::parts;
 use fieldbeat_core::rt::{self, Regions};
 use fieldbeat_core::time::Time;
 
 /// The largest PDO of a drive, bytes.
-pub const PDO_MAX: usize = 64;
+pub const PDO_MAX: usize = MOST_INPUTS;
 /// The most bytes of inputs, and of outputs, of a device.
 pub const TERMINAL_MAX: usize = 256;
-/// How many outputs the application may queue.
-const OUTPUTS: usize = 16;
 /// How many emergencies of a device are kept for the application.
 const EMERGENCIES: usize = 16;
-/// Bytes of a word of a cell.
-const WORD: usize = size_of::<u64>();
+/// Words of the inputs of a device.
+const TERMINAL: usize = native::words(TERMINAL_MAX);
 
 /// The application's end of a drive: [`Axis::native`](fieldbeat_core::axis::Axis::native) with this type.
 #[derive(Debug)]
 pub struct Native {
-    inputs: Reader<Image<{ FRONT + PDO_MAX / WORD }>>,
-    outputs: Producer<NativeOutput>,
+    end: native::Native<Image, NativeOutput>,
     layouts: Arc<[Layout; 2]>,
 }
 
@@ -61,35 +58,30 @@ impl NativeInputs<'_> {
 /// An output PDO, whole: it stays until the next one. With `NativeOwner::Master` its control word is ignored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct NativeOutput {
-    bytes: [u8; PDO_MAX],
+    bytes: Bytes<PDO_MAX>,
     length: u8,
 }
 
 impl NativeOutput {
     /// An output of these bytes; `None`: more than a PDO has.
     pub fn new(bytes: &[u8]) -> Option<NativeOutput> {
-        let mut output = NativeOutput { bytes: [0; PDO_MAX], length: u8::try_from(bytes.len()).ok()? };
-        output.bytes.get_mut(..bytes.len())?.copy_from_slice(bytes);
+        let mut output = NativeOutput { bytes: Bytes([0; PDO_MAX]), length: u8::try_from(bytes.len()).ok()? };
+        output.bytes.0.get_mut(..bytes.len())?.copy_from_slice(bytes);
         Some(output)
     }
 
     /// Its bytes.
     pub fn bytes(&self) -> &[u8] {
-        &self.bytes[..usize::from(self.length).min(PDO_MAX)]
+        &self.bytes.0[..usize::from(self.length).min(PDO_MAX)]
     }
 }
 
 impl Native {
     /// The newest inputs.
     pub fn inputs(&self) -> NativeInputs<'_> {
-        let image = self.inputs.read();
-        NativeInputs {
-            at: image.at(),
-            running: image.flag(),
-            layout: &self.layouts[1],
-            bytes: image.bytes(),
-            length: image.length().min(PDO_MAX),
-        }
+        let image = self.end.inputs();
+        let (bytes, length) = image.bytes();
+        NativeInputs { at: image.at(), running: image.flag(), layout: &self.layouts[1], bytes, length }
     }
 
     /// An output PDO with these values; objects that are not named are 0. `None`: an object is not mapped, or its
@@ -100,7 +92,7 @@ impl Native {
         for (object, value) in values {
             let (at, entry) = layout.places().find(|(_, entry)| entry.object == *object)?;
             let (low, high) = entry.kind.range();
-            let place = output.bytes.get_mut(at..at + entry.kind.bytes())?;
+            let place = output.bytes.0.get_mut(at..at + entry.kind.bytes())?;
             if !(low..=high).contains(value) {
                 return None;
             }
@@ -112,7 +104,7 @@ impl Native {
     /// Queues an output for the axis in native mode; returns it if the queue is full. An output written before the
     /// mode runs ([`NativeInputs::running`]) is dropped when the mode begins.
     pub fn write(&mut self, output: NativeOutput) -> Result<(), NativeOutput> {
-        self.outputs.push(output).map_err(|rtrb::PushError::Full(output)| output)
+        self.end.write(output)
     }
 }
 
@@ -123,82 +115,24 @@ fn value(layout: &Layout, object: Object, bytes: &[u8]) -> Option<i64> {
 
 /// The number of this type that begins at a byte.
 pub(super) fn number(kind: Type, at: usize, bytes: &[u8]) -> Option<i64> {
-    let mut raw = [0; WORD];
+    let mut raw = [0; size_of::<u64>()];
     raw[..kind.bytes()].copy_from_slice(bytes.get(at..at + kind.bytes())?);
     Some(kind.number(u64::from_le_bytes(raw)))
 }
 
 /// The station's end.
-#[derive(Debug)]
-#[repr(C)] // Its writer is used with each report.
-pub struct NativePort {
-    inputs: Writer<Image<{ FRONT + PDO_MAX / WORD }>>,
-    outputs: Inlet<NativeOutput>,
-    regions: Regions,
-}
+pub type NativePort = native::NativePort<NativeOutput>;
 
 /// Both ends, for PDOs of these layouts: outputs, inputs.
 pub fn native(outputs: &Layout, inputs: &Layout) -> (Native, NativePort) {
-    let (writer, reader) = cell::cell(Image::EMPTY);
-    let mut regions = Regions::new();
-    let (producer, consumer) = rt::ring(OUTPUTS, &mut regions);
-    let layouts = Arc::new([outputs.clone(), inputs.clone()]);
-    let native = Native { inputs: reader, outputs: producer, layouts };
-    (native, NativePort { inputs: writer, outputs: Inlet::new(consumer), regions })
-}
-
-impl NativePort {
-    /// The same with this log.
-    pub(super) fn logged(mut self, log: &InputLog) -> NativePort {
-        self.outputs = self.outputs.logged(log);
-        self
-    }
-
-    /// Adds what both directions touch, to be locked.
-    pub(super) fn memory(&self, regions: &mut Regions) {
-        self.inputs.memory(regions);
-        regions.extend(&self.regions);
-    }
-
-    #[inline]
-    pub(super) fn publish(&mut self, at: Time, running: bool, inputs: &[u8]) {
-        let inputs = &inputs[..inputs.len().min(PDO_MAX)];
-        self.inputs.write_with(|places| pack(at, running, inputs, |word| places.push(word)));
-    }
-
-    /// Appends the newest inputs, if they were taken in after `since`. Returns when they were.
-    pub(super) fn inputs(&self, since: Time, out: &mut NativeBytes) -> Option<Time> {
-        let mut words = self.inputs.words();
-        let at = words.next().map(Time).filter(|at| *at > since)?;
-        let length = words.next().unwrap_or(0) as u16;
-        out.put_words(words, length.into());
-        Some(at)
-    }
-
-    /// The next output, which stays until it is [taken](Self::pop).
-    pub(super) fn peek(&mut self) -> Option<NativeOutput> {
-        self.outputs.peek().copied()
-    }
-
-    /// The next output has left.
-    pub(super) fn pop(&mut self) {
-        let _ = self.outputs.pop();
-    }
-
-    /// Drops the outputs of a native mode that has ended; not those that the application writes meanwhile, which
-    /// would have no end.
-    pub(super) fn flush(&mut self) {
-        for _ in 0..self.outputs.slots().min(OUTPUTS) {
-            let _ = self.outputs.pop();
-        }
-    }
+    let (end, port) = native::native();
+    (Native { end, layouts: Arc::new([outputs.clone(), inputs.clone()]) }, port)
 }
 
 /// The application's end of a device that is not a drive.
 #[derive(Debug)]
 pub struct Terminals {
-    inputs: Reader<Image<{ FRONT + TERMINAL_MAX / WORD }>>,
-    outputs: Producer<TerminalOutputs>,
+    end: native::Native<Image<TERMINAL>, TerminalOutputs, TERMINAL>,
     emergencies: Consumer<Emergency>,
     sizes: (usize, usize),
 }
@@ -241,9 +175,8 @@ fieldbeat_core::debug_as_display!(TerminalError);
 impl Terminals {
     /// The newest inputs.
     pub fn inputs(&self) -> TerminalInputs {
-        let image = self.inputs.read();
-        let mut bytes: [u8; TERMINAL_MAX] = image.bytes();
-        bytes[image.length().min(TERMINAL_MAX)..].fill(0);
+        let image = self.end.inputs();
+        let (bytes, _) = image.bytes();
         TerminalInputs { at: image.at(), operational: image.flag(), bytes, length: self.sizes.1 }
     }
 
@@ -265,44 +198,21 @@ impl Terminals {
             Some(place) if place.len() == outputs.len() => place.copy_from_slice(outputs),
             _ => return Err(TerminalError::Size { has: self.sizes.0, given: outputs.len() }),
         }
-        self.outputs.push(TerminalOutputs(image)).map_err(|_| TerminalError::Full)
+        self.end.write(Bytes(image)).map_err(|_| TerminalError::Full)
     }
 }
 
 /// All outputs of a device.
-#[derive(Clone, Copy, Debug)]
-pub struct TerminalOutputs([u8; TERMINAL_MAX]);
+type TerminalOutputs = Bytes<TERMINAL_MAX>;
 
-impl Part for TerminalOutputs {
-    const WORDS: usize = TERMINAL_MAX / WORD;
-
-    fn put(&self, words: &mut [u64]) {
-        put_bytes(&self.0, words);
-    }
-
-    fn take(words: &[u64]) -> TerminalOutputs {
-        TerminalOutputs(take_bytes(words))
-    }
-}
-
-impl Part for NativeOutput {
-    const WORDS: usize = 1 + PDO_MAX / WORD;
-
-    fn put(&self, words: &mut [u64]) {
-        self.length.put(words);
-        put_bytes(&self.bytes, &mut words[1..]);
-    }
-
-    fn take(words: &[u64]) -> NativeOutput {
-        NativeOutput { length: u8::take(words), bytes: take_bytes(&words[1..]) }
-    }
+parts! {
+    NativeOutput { length, bytes }
 }
 
 /// The segment's end of a device.
 #[derive(Debug)]
 pub struct TerminalPort {
-    inputs: Writer<Image<{ FRONT + TERMINAL_MAX / WORD }>>,
-    outputs: Inlet<TerminalOutputs>,
+    port: native::NativePort<TerminalOutputs, TERMINAL>,
     log: InputLog,
     emergencies: Producer<Emergency>,
     newest: [u8; TERMINAL_MAX],
@@ -314,38 +224,26 @@ pub struct TerminalPort {
 
 /// Both ends of a device with so many bytes of outputs and inputs; bytes beyond [`TERMINAL_MAX`] are cut off.
 pub fn terminals(outputs: usize, inputs: usize) -> (Terminals, TerminalPort) {
-    let (writer, reader) = cell::cell(Image::EMPTY);
+    let (end, port) = native::native();
     let mut regions = Regions::new();
-    let (producer, consumer) = rt::ring(OUTPUTS, &mut regions);
     let (reported, emergencies) = rt::ring(EMERGENCIES, &mut regions);
     let sizes = (outputs.min(TERMINAL_MAX), inputs.min(TERMINAL_MAX));
-    let newest = [0; TERMINAL_MAX];
-    let terminals = Terminals { inputs: reader, outputs: producer, emergencies, sizes };
-    (
-        terminals,
-        TerminalPort {
-            inputs: writer,
-            outputs: Inlet::new(consumer),
-            emergencies: reported,
-            log: InputLog::default(),
-            newest,
-            taken: false,
-            size: sizes.0,
-            regions,
-        },
-    )
+    let (log, newest) = (InputLog::default(), [0; TERMINAL_MAX]);
+    let port =
+        TerminalPort { port, log, emergencies: reported, newest, taken: false, size: sizes.0, regions };
+    (Terminals { end, emergencies, sizes }, port)
 }
 
 impl TerminalPort {
     /// The same with this log.
     pub fn logged(mut self, log: &InputLog) -> TerminalPort {
-        (self.outputs, self.log) = (self.outputs.logged(log), log.source());
+        (self.port, self.log) = (self.port.logged(log), log.source());
         self
     }
 
     /// Adds what both directions touch, to be locked.
     pub fn memory(&self, regions: &mut Regions) {
-        self.inputs.memory(regions);
+        self.port.memory(regions);
         regions.extend(&self.regions);
     }
 
@@ -361,15 +259,16 @@ impl TerminalPort {
     /// Takes the newest outputs out of the queue; of an image only the bytes that the device has are copied.
     #[inline]
     fn take_newest(&mut self) {
-        let waiting = self.outputs.slots().min(OUTPUTS);
+        let outputs = &mut self.port.outputs;
+        let waiting = outputs.slots().min(OUTPUTS);
         if waiting == 0 {
             return;
         }
-        self.outputs.skip(waiting - 1);
-        if let Some(TerminalOutputs(image)) = self.outputs.peek() {
+        outputs.skip(waiting - 1);
+        if let Some(Bytes(image)) = outputs.peek() {
             self.newest[..self.size].copy_from_slice(&image[..self.size]);
         }
-        self.outputs.skip(1);
+        outputs.skip(1);
     }
 
     /// The application has room for an emergency.
@@ -389,89 +288,14 @@ impl TerminalPort {
 
     /// The device was lost: earlier outputs for it are no longer valid.
     pub fn forget(&mut self) {
-        for _ in 0..self.outputs.slots().min(OUTPUTS) {
-            let _ = self.outputs.pop();
-        }
+        self.port.flush();
         (self.newest, self.taken) = ([0; TERMINAL_MAX], false);
     }
 
     /// Its inputs came in.
     pub fn publish(&mut self, at: Time, operational: bool, inputs: &[u8]) {
-        let inputs = &inputs[..inputs.len().min(TERMINAL_MAX)];
-        self.inputs.write_with(|places| pack(at, operational, inputs, |word| places.push(word)));
-    }
-}
-
-/// Bytes with their instant, and a flag, as the words of a cell: the instant, flag and length, the bytes.
-#[derive(Clone, Copy, Debug)]
-struct Image<const N: usize>([u64; N]);
-
-/// Words before the bytes.
-const FRONT: usize = 2;
-
-impl<const N: usize> Image<N> {
-    const EMPTY: Image<N> = Image([0; N]);
-
-    fn at(&self) -> Time {
-        Time(self.0[0])
-    }
-
-    fn flag(&self) -> bool {
-        self.0[1] >> 63 != 0
-    }
-
-    fn length(&self) -> usize {
-        usize::from(self.0[1] as u16)
-    }
-
-    /// The bytes; after those that count there are older ones.
-    fn bytes<const BYTES: usize>(&self) -> [u8; BYTES] {
-        let mut bytes = [0; BYTES];
-        for (place, word) in bytes.chunks_mut(WORD).zip(&self.0[FRONT..]) {
-            place.copy_from_slice(&word.to_le_bytes()[..place.len()]);
-        }
-        bytes
-    }
-}
-
-/// The words of an image with these bytes; missing bytes of its last word are 0.
-#[inline]
-fn pack(at: Time, flag: bool, bytes: &[u8], mut push: impl FnMut(u64)) {
-    push(at.0);
-    push(u64::from(flag) << 63 | bytes.len() as u64);
-    if let Ok(word) = bytes.try_into() {
-        // The PDO that most drives have.
-        return push(u64::from_le_bytes(word));
-    }
-    let (words, rest) = bytes.as_chunks();
-    for word in words {
-        push(u64::from_le_bytes(*word));
-    }
-    if !rest.is_empty() {
-        push(short_word(rest));
-    }
-}
-
-/// Fewer bytes than a word has; the missing ones are 0. Of four and more by two loads that overlap: a loop over bytes
-/// costs several times as much.
-#[inline]
-fn short_word(bytes: &[u8]) -> u64 {
-    if let (Some(first), Some(last)) = (bytes.first_chunk::<4>(), bytes.last_chunk::<4>()) {
-        let ahead = 8 * (bytes.len() - 4);
-        return u64::from(u32::from_le_bytes(*first)) | u64::from(u32::from_le_bytes(*last)) << ahead;
-    }
-    bytes.iter().rev().fold(0, |word, byte| word << 8 | u64::from(*byte))
-}
-
-impl<const N: usize> Packed for Image<N> {
-    type Words = [u64; N];
-
-    fn pack(&self) -> [u64; N] {
-        self.0
-    }
-
-    fn unpack(words: &[u64; N]) -> Image<N> {
-        Image(*words)
+        self.port.runs(operational);
+        self.port.publish(at, 0, inputs);
     }
 }
 
@@ -489,21 +313,12 @@ mod tests {
         let (native, mut port) = native(&layout(0x1702), &layout(0x1B03));
         assert_eq!(native.inputs().get(Object::new(0x6041, 0)), None, "nothing yet");
         // The inputs of the sheet's example.
-        port.publish(Time(7), true, &[0x40, 0xE2, 0x01, 0, 0x06, 0xFF, 0x37, 0x06]);
+        port.runs(true);
+        port.publish(Time(7), 0, &[0x40, 0xE2, 0x01, 0, 0x06, 0xFF, 0x37, 0x06]);
         let inputs = native.inputs();
         assert_eq!((inputs.at, inputs.running, inputs.bytes().len()), (Time(7), true, 8));
         let values = [0x6064, 0x6077, 0x6041, 0x606C].map(|index| inputs.get(Object::new(index, 0)));
         assert_eq!(values, [Some(123_456), Some(-250), Some(0x0637), None]);
-    }
-
-    #[test]
-    fn bytes_of_less_than_a_word_are_its_lowest() {
-        let bytes = [0xF1, 2, 3, 4, 5, 6, 0x87];
-        for length in 0..=bytes.len() {
-            let mut word = [0; WORD];
-            word[..length].copy_from_slice(&bytes[..length]);
-            assert_eq!(short_word(&bytes[..length]), u64::from_le_bytes(word), "{length}");
-        }
     }
 
     #[test]
@@ -519,10 +334,9 @@ mod tests {
             native.write(output).unwrap();
         }
         assert_eq!(native.write(output), Err(output));
-        assert_eq!(port.peek(), Some(output));
-        port.pop();
+        assert_eq!(port.outputs.pop(), Some(output));
         port.flush();
-        assert_eq!(port.peek(), None);
+        assert_eq!(port.outputs.pop(), None);
     }
 
     #[test]

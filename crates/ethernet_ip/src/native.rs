@@ -1,28 +1,20 @@
 //! The native process data of a MOONS' drive: unscaled and complete, for the application.
 
-use rtrb::Producer;
-
 use super::plan::{Layout, Version};
 use super::wire::assembly::{Inputs, IoCode, Letters, Outputs, command, input_size};
-use fieldbeat_core::axis::cell::{self, Packed, Reader, Writer};
-use fieldbeat_core::bus::native::NativeBytes;
-use fieldbeat_core::inputs::{Inlet, InputLog};
-use fieldbeat_core::rt::{self, Regions};
+use fieldbeat_core::bus::native::{self, Image, MOST_INPUTS};
 use fieldbeat_core::time::Time;
 use fieldbeat_core::{parts, word};
 
-/// How many outputs the application may queue.
-const OUTPUTS: usize = 16;
 /// The longest input assembly, bytes.
 const ROOM: usize = input_size(Version::V2);
-const WORD: usize = size_of::<u64>();
 
-/// The application's end: [`Axis::native`](fieldbeat_core::axis::Axis::native) with this type.
-#[derive(Debug)]
-pub struct Native {
-    inputs: Reader<Assembly>,
-    outputs: Producer<NativeOutput>,
-}
+/// The application's end: [`Axis::native`](fieldbeat_core::axis::Axis::native) with this type. `inputs` are the newest
+/// [`NativeInputs`]; `write` queues a [`NativeOutput`], or returns it if the queue is full.
+pub type Native = native::Native<NativeInputs, NativeOutput>;
+
+/// The station's end.
+pub(super) type NativePort = native::NativePort<NativeOutput>;
 
 /// All that the drive's last accepted packet carried.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -144,44 +136,6 @@ impl NativeOutput {
     }
 }
 
-/// The station's end.
-#[derive(Debug)]
-pub(super) struct NativePort {
-    inputs: Writer<Assembly>,
-    outputs: Inlet<NativeOutput>,
-    /// Native mode runs.
-    running: bool,
-    begun: u32,
-    /// The memory of the queue.
-    regions: Regions,
-}
-
-/// Both ends.
-pub(super) fn native() -> (Native, NativePort) {
-    let (writer, reader) = cell::cell(Assembly::default());
-    let mut regions = Regions::new();
-    let (producer, consumer) = rt::ring(OUTPUTS, &mut regions);
-    let port =
-        NativePort { inputs: writer, outputs: Inlet::new(consumer), running: false, begun: 0, regions };
-    (Native { inputs: reader, outputs: producer }, port)
-}
-
-impl Native {
-    /// The newest inputs.
-    pub fn inputs(&self) -> NativeInputs {
-        let Assembly { at, running, begun, kind, bytes } = self.inputs.read();
-        let inputs =
-            kind.and_then(|(version, layout)| Inputs::parse(&bytes[..input_size(version)], version, layout));
-        NativeInputs { at, running, begun, inputs }
-    }
-
-    /// Queues an output for the axis in native mode; returns it if the queue is full. An output written before the
-    /// mode runs ([`NativeInputs::running`]) is dropped when the mode begins.
-    pub fn write(&mut self, output: NativeOutput) -> Result<(), NativeOutput> {
-        self.outputs.push(output).map_err(|rtrb::PushError::Full(output)| output)
-    }
-}
-
 word! {
     Letters: |letters: Letters| letters.0.into(), |word| Letters(word as u16);
 }
@@ -194,135 +148,39 @@ parts! {
     }
 }
 
-impl NativePort {
-    /// The same with this log.
-    pub(super) fn logged(mut self, log: &InputLog) -> NativePort {
-        self.outputs = self.outputs.logged(log);
-        self
-    }
-
-    /// Adds what both directions touch, to be locked.
-    pub(super) fn memory(&self, regions: &mut Regions) {
-        self.inputs.memory(regions);
-        regions.extend(&self.regions);
-    }
-
-    /// Sets whether native mode runs, for everything published from here on.
-    pub(super) fn runs(&mut self, running: bool) {
-        self.running = running;
-    }
-
-    /// Publishes an input assembly of this kind.
-    #[inline]
-    pub(super) fn publish(&mut self, at: Time, version: Version, layout: Layout, data: &[u8]) {
-        let flags = flags(self.running, self.begun, Some((version, layout)));
-        self.inputs.write_with(|places| {
-            places.push(at.0);
-            places.push(flags);
-            // The usual one, of a length that the compiler knows.
-            if let Ok(data) = <&[u8; ROOM]>::try_from(data) {
-                data.as_chunks::<WORD>().0.iter().for_each(|bytes| places.push(u64::from_le_bytes(*bytes)));
-                return;
-            }
-            let (whole, rest) = data.as_chunks::<WORD>();
-            whole.iter().for_each(|bytes| places.push(u64::from_le_bytes(*bytes)));
-            if !rest.is_empty() {
-                let mut last = [0; WORD];
-                last[..rest.len()].copy_from_slice(rest);
-                places.push(u64::from_le_bytes(last));
-            }
-        });
-    }
-
-    /// Appends the newest assembly, if it was taken in after `since`. Returns when it was.
-    pub(super) fn inputs(&self, since: Time, out: &mut NativeBytes) -> Option<Time> {
-        let mut words = self.inputs.words();
-        let at = words.next().map(Time).filter(|at| *at > since)?;
-        let length = match words.next().unwrap_or(0) >> KIND & 0xFF {
-            0 => 0,
-            1 => input_size(Version::V1),
-            _ => ROOM,
-        };
-        out.put_words(words, length);
-        Some(at)
-    }
-
-    /// The next output, which stays until it is [taken](Self::pop).
-    pub(super) fn peek(&mut self) -> Option<NativeOutput> {
-        self.outputs.peek().copied()
-    }
-
-    /// The next output has begun.
-    pub(super) fn pop(&mut self) {
-        if self.outputs.pop().is_some() {
-            self.begun = self.begun.wrapping_add(1);
-        }
-    }
-
-    /// Drops the outputs of a native mode that has ended; not those that the application writes meanwhile, which
-    /// would have no end.
-    pub(super) fn flush(&mut self) {
-        for _ in 0..self.outputs.slots().min(OUTPUTS) {
-            let _ = self.outputs.pop();
-        }
+/// Publishes an input assembly of this kind.
+#[inline]
+pub(super) fn publish(port: &mut NativePort, at: Time, begun: u32, kind: (Version, Layout), data: &[u8]) {
+    let kind = match kind {
+        (Version::V1, _) => 1,
+        (Version::V2, Layout::Manual) => 2,
+        (Version::V2, Layout::Page) => 3,
+    };
+    let added = u64::from(begun) | kind << KIND;
+    match <&[u8; ROOM]>::try_from(data) {
+        // The usual one.
+        Ok(data) => port.publish_array(at, added, data),
+        Err(_) => port.publish(at, added, data),
     }
 }
 
-/// An input assembly as it came: the station publishes it whole, and its reader decodes it.
-#[derive(Clone, Copy, Debug)]
-struct Assembly {
-    at: Time,
-    running: bool,
-    begun: u32,
-    kind: Option<(Version, Layout)>,
-    bytes: [u8; ROOM],
-}
-
-impl Default for Assembly {
-    fn default() -> Assembly {
-        Assembly { at: Time(0), running: false, begun: 0, kind: None, bytes: [0; ROOM] }
-    }
-}
-
-/// The place of the kind among the flags.
+/// The place of the kind behind the number of outputs.
 const KIND: u32 = 32;
 
-fn flags(running: bool, begun: u32, kind: Option<(Version, Layout)>) -> u64 {
-    let kind = match kind {
-        None => 0,
-        Some((Version::V1, _)) => 1,
-        Some((Version::V2, Layout::Manual)) => 2,
-        Some((Version::V2, Layout::Page)) => 3,
-    };
-    u64::from(begun) | kind << KIND | u64::from(running) << 63
-}
-
-impl Packed for Assembly {
-    type Words = [u64; 2 + ROOM / WORD];
-
-    fn pack(&self) -> Self::Words {
-        let mut words = Self::Words::default();
-        (words[0], words[1]) = (self.at.0, flags(self.running, self.begun, self.kind));
-        for (word, bytes) in words[2..].iter_mut().zip(self.bytes.as_chunks().0) {
-            *word = u64::from_le_bytes(*bytes);
-        }
-        words
-    }
-
-    fn unpack(words: &Self::Words) -> Assembly {
-        let mut bytes = [0; ROOM];
-        for (bytes, word) in bytes.as_chunks_mut().0.iter_mut().zip(&words[2..]) {
-            *bytes = word.to_le_bytes();
-        }
-        let kind = match words[1] >> KIND & 0xFF {
-            1 => Some((Version::V1, Layout::Manual)),
-            2 => Some((Version::V2, Layout::Manual)),
-            3 => Some((Version::V2, Layout::Page)),
+impl From<Image> for NativeInputs {
+    fn from(image: Image) -> NativeInputs {
+        let (bytes, length) = image.bytes::<MOST_INPUTS>();
+        let inputs = match image.added() >> KIND {
+            1 => Inputs::parse(&bytes[..length], Version::V1, Layout::Manual),
+            2 => Inputs::parse(&bytes[..length], Version::V2, Layout::Manual),
+            3 => Inputs::parse(&bytes[..length], Version::V2, Layout::Page),
             _ => None,
         };
-        Assembly { at: Time(words[0]), running: words[1] >> 63 != 0, begun: words[1] as u32, kind, bytes }
+        NativeInputs { at: image.at(), running: image.flag(), begun: image.added() as u32, inputs }
     }
 }
+
+const _: () = assert!(ROOM <= MOST_INPUTS, "the longest assembly is published whole");
 
 #[cfg(test)]
 mod tests {
@@ -330,27 +188,27 @@ mod tests {
 
     #[test]
     fn the_application_reads_what_was_published_and_each_of_its_outputs_comes_once() {
-        let (mut application, mut port) = native();
+        let (mut application, mut port): (Native, NativePort) = native::native();
         assert_eq!(application.inputs().inputs, None);
         port.runs(true);
         for (version, length) in [(Version::V1, 30), (Version::V2, 56)] {
             let data: Vec<u8> = (1..=length).collect();
-            port.publish(Time(7), version, Layout::Manual, &data);
+            publish(&mut port, Time(7), 0, (version, Layout::Manual), &data);
             let read = application.inputs();
             assert_eq!((read.at, read.running), (Time(7), true));
             assert_eq!(read.inputs, Inputs::parse(&data, version, Layout::Manual), "{version:?}");
         }
         let segment = NativeOutput::execute_segment(3).unwrap();
         application.write(segment).unwrap();
-        assert_eq!(port.peek(), Some(segment));
-        port.pop();
-        assert_eq!(port.peek(), None);
-        port.publish(Time(8), Version::V2, Layout::Page, &[0; 56]);
+        assert_eq!(port.outputs.peek(), Some(&segment));
+        assert_eq!(port.outputs.pop(), Some(segment));
+        assert_eq!(port.outputs.peek(), None);
+        publish(&mut port, Time(8), 1, (Version::V2, Layout::Page), &[0; 56]);
         assert_eq!(application.inputs().begun, 1);
-        (0..OUTPUTS).for_each(|_| application.write(segment).unwrap());
+        (0..native::OUTPUTS).for_each(|_| application.write(segment).unwrap());
         assert_eq!(application.write(segment), Err(segment));
         port.flush();
-        assert_eq!(port.peek(), None);
+        assert_eq!(port.outputs.peek(), None);
         // Named calls put their codes where the manual has them.
         let io = |text: &str| text.parse::<IoCode>().unwrap();
         let profile = NativeProfile { velocity: 1200, acceleration: 600, deceleration: 600, distance: -5 };

@@ -9,7 +9,7 @@ use std::net::{Ipv4Addr, SocketAddrV4};
 
 use super::counters::Own;
 use super::exchange::{Connection, LoopEnd, News, Outputs as Sends, Wish};
-use super::native::{Native, NativePort, native};
+use super::native::{Native, NativePort, publish};
 use super::plan::{EnableInput, Layout, MOST_PER_REV, MoonsDrive, VELOCITY_PER_REV, Version};
 use super::profile::{Profile, Seen};
 use super::wire::assembly::{Inputs, status};
@@ -17,6 +17,7 @@ use super::wire::io::{OUTGOING_MAX, Outgoing, Packet, PacketError};
 use fieldbeat_core::axis::units::Unwrap;
 use fieldbeat_core::axis::{State, Units};
 use fieldbeat_core::bus::desired::{Motion, Power};
+use fieldbeat_core::bus::native::native;
 use fieldbeat_core::bus::{Cycle, Exchange, Slot};
 use fieldbeat_core::inputs::InputLog;
 use fieldbeat_core::rt::Regions;
@@ -346,7 +347,7 @@ impl Station {
             return;
         }
         self.report(at, packet, &inputs, slot);
-        self.native.publish(at, version, layout, packet.data);
+        publish(&mut self.native, at, self.profile.begun_outputs(), (version, layout), packet.data);
     }
 
     /// A packet with more or less data than was agreed.

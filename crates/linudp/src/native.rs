@@ -1,25 +1,18 @@
 //! The native process data of a LinUDP drive: unscaled and complete, for the application.
 
-use rtrb::Producer;
-
 use super::motion::MotionCommand;
 use super::wire::{ControlWord, RESPONSE_MAX, Response, RtcBlock};
-use fieldbeat_core::axis::cell::{self, Packed, Reader, Writer};
-use fieldbeat_core::bus::native::NativeBytes;
-use fieldbeat_core::inputs::{Inlet, InputLog};
-use fieldbeat_core::packed::{Part, put_bytes, take_bytes};
-use fieldbeat_core::rt::{self, Regions};
+use fieldbeat_core::bus::native::{self, Image, MOST_INPUTS};
+use fieldbeat_core::packed::{Bytes, Part};
 use fieldbeat_core::time::Time;
+use fieldbeat_core::{parts, word};
 
-/// How many outputs the application may queue.
-const OUTPUTS: usize = 16;
+/// The application's end: [`Axis::native`](fieldbeat_core::axis::Axis::native) with this type. `inputs` are the newest
+/// [`NativeInputs`]; `write` queues a [`NativeOutput`], or returns it if the queue is full.
+pub type Native = native::Native<NativeInputs, NativeOutput>;
 
-/// The application's end: [`Axis::native`](fieldbeat_core::axis::Axis::native) with this type.
-#[derive(Debug)]
-pub struct Native {
-    inputs: Reader<Telegram>,
-    outputs: Producer<NativeOutput>,
-}
+/// The station's end.
+pub(super) type NativePort = native::NativePort<NativeOutput>;
 
 /// Everything that the drive's last accepted reply carried.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -49,196 +42,48 @@ pub struct NativeOutput {
     pub config: Option<RtcBlock>,
 }
 
-/// The station's end.
-#[derive(Debug)]
-pub(super) struct NativePort {
-    inputs: Writer<Telegram>,
-    outputs: Inlet<NativeOutput>,
-    /// Native mode runs.
-    running: bool,
-    /// The memory of the queue.
-    regions: Regions,
-}
-
-/// Both ends.
-pub(super) fn native() -> (Native, NativePort) {
-    let (writer, reader) = cell::cell(Telegram { at: Time(0), running: false, length: 0, bytes: [0; ROOM] });
-    let mut regions = Regions::new();
-    let (producer, consumer) = rt::ring(OUTPUTS, &mut regions);
-    let port = NativePort { inputs: writer, outputs: Inlet::new(consumer), running: false, regions };
-    (Native { inputs: reader, outputs: producer }, port)
-}
-
-impl Native {
-    /// The newest inputs.
-    pub fn inputs(&self) -> NativeInputs {
-        let Telegram { at, running, length, bytes } = self.inputs.read();
+impl From<Image> for NativeInputs {
+    fn from(image: Image) -> NativeInputs {
+        let (bytes, length) = image.bytes::<MOST_INPUTS>();
         // Only accepted telegrams are published, so this fails before the first reply only.
-        let response = Response::parse(&bytes[..length.min(ROOM)]).unwrap_or_default();
-        NativeInputs { at, running, response }
-    }
-
-    /// Queues an output for the axis in native mode; returns it if the queue is full. An output written before the
-    /// mode runs ([`NativeInputs::running`]) is dropped when the mode begins.
-    pub fn write(&mut self, output: NativeOutput) -> Result<(), NativeOutput> {
-        self.outputs.push(output).map_err(|rtrb::PushError::Full(output)| output)
+        let response = Response::parse(&bytes[..length]).unwrap_or_default();
+        NativeInputs { at: image.at(), running: image.flag(), response }
     }
 }
 
-impl NativePort {
-    /// The same with this log.
-    pub(super) fn logged(mut self, log: &InputLog) -> NativePort {
-        self.outputs = self.outputs.logged(log);
-        self
-    }
-
-    /// Adds what both directions touch, to be locked.
-    pub(super) fn memory(&self, regions: &mut Regions) {
-        self.inputs.memory(regions);
-        regions.extend(&self.regions);
-    }
-
-    /// Sets whether native mode runs, for everything published from here on.
-    pub(super) fn runs(&mut self, running: bool) {
-        self.running = running;
-    }
-
-    #[inline]
-    pub(super) fn publish(&mut self, at: Time, telegram: &[u8]) {
-        self.inputs.write_with(|places| pack(at, self.running, telegram, |word| places.push(word)));
-    }
-
-    /// Appends the newest telegram, if it was taken in after `since`. Returns when it was.
-    pub(super) fn inputs(&self, since: Time, out: &mut NativeBytes) -> Option<Time> {
-        let mut words = self.inputs.words();
-        let at = words.next().map(Time).filter(|at| *at > since)?;
-        let length = ((words.next().unwrap_or(0) << 1 >> 1) as usize).min(ROOM);
-        out.put_words(words, length);
-        // Its last bytes are the word behind its whole ones.
-        out.end_with(self.inputs.word(FRONT + length / WORD));
-        Some(at)
-    }
-
-    /// The next output, which stays until it is [taken](Self::pop).
-    pub(super) fn peek(&mut self) -> Option<NativeOutput> {
-        self.outputs.peek().copied()
-    }
-
-    /// The next output has left.
-    pub(super) fn pop(&mut self) {
-        let _ = self.outputs.pop();
-    }
-
-    /// Drops the outputs of a native mode that has ended; not those that the application writes meanwhile, which
-    /// would have no end.
-    pub(super) fn flush(&mut self) {
-        for _ in 0..self.outputs.slots().min(OUTPUTS) {
-            let _ = self.outputs.pop();
-        }
-    }
+word! {
+    ControlWord: |control: ControlWord| control.0.into(), |word| ControlWord(word as u16);
 }
 
-/// Whole, for the log of the loop: its optional parts with a word each that says whether they are there.
-impl Part for NativeOutput {
-    const WORDS: usize = 2 + 6 + 6;
+parts! {
+    NativeOutput { control, motion, config }
+    RtcBlock { tag, code, words }
+}
+
+impl Part for MotionCommand {
+    const WORDS: usize = 1 + Bytes::<30>::WORDS;
 
     fn put(&self, words: &mut [u64]) {
-        let NativeOutput { control, motion, config } = *self;
-        control.map(|control| control.0).put(words);
-        (words[2], words[8]) = (motion.is_some().into(), config.is_some().into());
-        if let Some(MotionCommand { id, parameters }) = motion {
-            id.put(&mut words[3..]);
-            put_bytes(&parameters, &mut words[4..8]);
-        }
-        if let Some(RtcBlock { tag, code, words: block }) = config {
-            [tag, code].put(&mut words[9..]);
-            block.put(&mut words[11..]);
-        }
+        self.id.put(words);
+        Bytes(self.parameters).put(&mut words[1..]);
     }
 
-    fn take(words: &[u64]) -> NativeOutput {
-        let motion = || MotionCommand { id: u16::take(&words[3..]), parameters: take_bytes(&words[4..8]) };
-        let [tag, code] = Part::take(&words[9..]);
-        NativeOutput {
-            control: <Option<u16> as Part>::take(words).map(ControlWord),
-            motion: (words[2] != 0).then(motion),
-            config: (words[8] != 0).then(|| RtcBlock { tag, code, words: Part::take(&words[11..]) }),
-        }
+    fn take(words: &[u64]) -> MotionCommand {
+        let Bytes(parameters) = Bytes::take(&words[1..]);
+        MotionCommand { id: u16::take(words), parameters }
     }
 }
 
-/// A reply as it came: the station publishes it whole, and its reader decodes it.
-#[derive(Clone, Copy, Debug)]
-struct Telegram {
-    at: Time,
-    running: bool,
-    length: usize,
-    bytes: [u8; ROOM],
-}
-
-/// Words before those of the telegram.
-const FRONT: usize = 2;
-/// Room for the longest telegram, in whole words. Bytes after its blocks are never read.
-const ROOM: usize = RESPONSE_MAX.next_multiple_of(WORD);
-const WORD: usize = size_of::<u64>();
-
-/// Time, flag and length; its whole words; its last bytes as a word, which overlaps the one before it: no telegram is
-/// shorter. Words behind them keep their values, and nobody reads them.
-#[inline]
-fn pack(at: Time, running: bool, telegram: &[u8], mut push: impl FnMut(u64)) {
-    let telegram = &telegram[..telegram.len().min(ROOM)];
-    push(at.0);
-    push(u64::from(running) << 63 | telegram.len() as u64);
-    telegram.as_chunks().0.iter().for_each(|bytes| push(u64::from_le_bytes(*bytes)));
-    push(u64::from_le_bytes(telegram.last_chunk().copied().unwrap_or_default()));
-}
-
-impl Packed for Telegram {
-    type Words = [u64; FRONT + ROOM / WORD + 1];
-
-    fn pack(&self) -> Self::Words {
-        let mut words = Self::Words::default();
-        let mut places = words.iter_mut();
-        pack(self.at, self.running, &self.bytes[..self.length.min(ROOM)], |word| {
-            if let Some(place) = places.next() {
-                *place = word;
-            }
-        });
-        words
-    }
-
-    fn unpack(words: &Self::Words) -> Telegram {
-        let [at, flags, words @ ..] = words;
-        let length = ((flags << 1 >> 1) as usize).min(ROOM);
-        let (mut bytes, whole) = ([0; ROOM], length / WORD);
-        for (bytes, word) in bytes.as_chunks_mut().0[..whole].iter_mut().zip(words) {
-            *bytes = word.to_le_bytes();
-        }
-        if let Some(last) = bytes[..length].last_chunk_mut() {
-            *last = words[whole].to_le_bytes();
-        }
-        Telegram { at: Time(*at), running: flags >> 63 != 0, length, bytes }
-    }
-}
+const _: () = assert!(RESPONSE_MAX <= MOST_INPUTS, "the longest telegram is published whole");
 
 #[cfg(test)]
 mod tests {
-
     use super::*;
-
-    #[test]
-    fn the_queue_is_locked_with_the_rest() {
-        let (mut native, port) = native();
-        let mut regions = Regions::new();
-        port.memory(&mut regions);
-        let mut chunk = native.outputs.write_chunk_uninit(OUTPUTS).unwrap();
-        assert!(regions.covers(chunk.as_mut_slices().0));
-    }
 
     #[test]
     fn whatever_was_received_can_be_read() {
         let mut random = fastrand::Rng::with_seed(7);
-        let (native, mut port) = native();
+        let (native, mut port): (Native, NativePort) = native::native();
         assert_eq!(native.inputs(), NativeInputs::default());
         for definition in 0..0x200_u32 {
             let mut bytes = [0; 64];
@@ -248,7 +93,7 @@ mod tests {
             let response = Response::parse(&bytes).unwrap();
             let running = definition & 1 != 0;
             port.runs(running);
-            port.publish(Time(5), &bytes[..response.size()]);
+            port.publish(Time(5), 0, &bytes[..response.size()]);
             assert_eq!(native.inputs(), NativeInputs { at: Time(5), running, response });
         }
     }

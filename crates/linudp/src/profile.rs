@@ -285,13 +285,11 @@ impl Profile {
             if state.control != before.control {
                 self.power_sent.note(state.control);
             }
-            if state.native_taken != before.native_taken {
-                native.pop();
-            }
-            if state.serials.motion != before.serials.motion {
-                native.flush();
-                native.runs(matches!(motion, Motion::Native(_)));
-            }
+            let begins = state.serials.motion != before.serials.motion;
+            native.left(
+                state.native_taken != before.native_taken,
+                begins.then(|| matches!(motion, Motion::Native(_))),
+            );
         }
     }
 

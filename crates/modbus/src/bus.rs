@@ -227,7 +227,7 @@ impl Bus for ModbusBus {
     ) -> Option<Time> {
         bytes.clear();
         let station = self.stations.get(index)?;
-        let received_at = station.native().inputs(since, bytes);
+        let received_at = station.native_inputs(since, bytes);
         bytes.put_outputs(outputs, received_at, || Some(station.sent_request()))
     }
 

@@ -3,27 +3,19 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicI32, Ordering};
 
-use rtrb::Producer;
-
 use super::fields::COUNT;
 use super::mapping::{Image, ROLES, Role};
 use super::words::{ControlWord, StatusWord};
-use fieldbeat_core::axis::cell::{self, Packed, Reader, Words, Writer};
-use fieldbeat_core::bus::native::NativeBytes;
-use fieldbeat_core::inputs::{Inlet, InputLog};
-use fieldbeat_core::rt::{self, Regions};
+use fieldbeat_core::bus::native::{self, NativeBytes};
+use fieldbeat_core::rt::Regions;
 use fieldbeat_core::time::Time;
 use fieldbeat_core::{parts, word};
-
-/// How many outputs the application may queue.
-const OUTPUTS: usize = 16;
 
 /// The application's end: [`Axis::native`](fieldbeat_core::axis::Axis::native) with this type.
 #[derive(Debug)]
 pub struct Native {
-    inputs: Reader<NativeInputs>,
-    also: Arc<[AtomicI32]>,
-    outputs: Producer<NativeOutput>,
+    end: native::Native<NativeInputs, NativeOutput>,
+    also: Also,
 }
 
 /// The last values of the drive, as counts on the wire; `None`: not read yet on this connection. The number of a
@@ -64,108 +56,73 @@ pub struct NativeOutput {
 }
 
 /// The station's end.
-#[derive(Debug)]
-pub(super) struct NativePort {
-    inputs: Writer<NativeInputs>,
-    also: Arc<[AtomicI32]>,
-    outputs: Inlet<NativeOutput>,
-    regions: Regions,
-}
+pub(super) type NativePort = native::NativePort<NativeOutput>;
+
+/// The newest counts of the additional parameters, for both ends.
+#[derive(Clone, Debug)]
+pub(super) struct Also(Arc<[AtomicI32]>);
 
 /// Both ends, with so many additional parameters.
-pub(super) fn native(also: usize) -> (Native, NativePort) {
-    let (writer, reader) = cell::cell(NativeInputs::default());
-    let mut regions = Regions::new();
-    let (producer, consumer) = rt::ring(OUTPUTS, &mut regions);
-    let also: Arc<[AtomicI32]> = (0..also).map(|_| AtomicI32::new(0)).collect();
-    let native = Native { inputs: reader, also: Arc::clone(&also), outputs: producer };
-    (native, NativePort { inputs: writer, also, outputs: Inlet::new(consumer), regions })
+pub(super) fn native(also: usize) -> (Native, NativePort, Also) {
+    let (end, port) = native::native();
+    let also = Also((0..also).map(|_| AtomicI32::new(0)).collect());
+    (Native { end, also: also.clone() }, port, also)
 }
 
 impl Native {
     /// The newest inputs.
     pub fn inputs(&self) -> NativeInputs {
-        self.inputs.read()
+        self.end.inputs()
     }
 
     /// The newest count of additional parameter `index`, in the order of the plan; 0 before the first one. Each is
     /// independent: two of them may be of two replies.
     pub fn also(&self, index: usize) -> Option<i32> {
-        self.also.get(index).map(|count| count.load(Ordering::Relaxed))
+        self.also.0.get(index).map(|count| count.load(Ordering::Relaxed))
     }
 
     /// Queues an output for the axis in native mode; returns it if the queue is full. An output written before the
     /// mode runs ([`NativeInputs::running`]) is dropped when the mode begins.
     pub fn write(&mut self, output: NativeOutput) -> Result<(), NativeOutput> {
-        self.outputs.push(output).map_err(|rtrb::PushError::Full(output)| output)
+        self.end.write(output)
     }
 }
 
-impl NativePort {
-    /// The same with this log.
-    pub(super) fn logged(mut self, log: &InputLog) -> NativePort {
-        self.outputs = self.outputs.logged(log);
-        self
-    }
+/// Publishes the newest counts.
+#[inline]
+pub(super) fn publish(port: &mut NativePort, at: Time, image: &Image) {
+    let (seen, pairs) = image.parts();
+    port.publish_words(at, seen.into(), pairs);
+}
 
-    /// Adds what both directions touch, to be locked.
+impl Also {
+    /// Adds its memory, to be locked.
     pub(super) fn memory(&self, regions: &mut Regions) {
-        self.inputs.memory(regions);
-        regions.add(&*self.also);
-        regions.extend(&self.regions);
+        regions.add(&*self.0);
     }
 
     #[inline]
-    pub(super) fn publish(&mut self, at: Time, running: bool, image: &Image) {
-        let (seen, pairs) = image.parts();
-        self.inputs.write_with(|places| {
-            places.push(at.0);
-            places.push(u64::from(running) << 63 | u64::from(seen));
-            pairs.iter().for_each(|pair| places.push(*pair));
-        });
+    pub(super) fn publish(&self, index: u8, count: i32) {
+        if let Some(place) = self.0.get(usize::from(index)) {
+            place.store(count, Ordering::Relaxed);
+        }
     }
 
     /// Appends the newest counts, if the newest of them was taken in after `since`: which roles were read, a bit each;
     /// the count of each role up to the last one that was read; those of the additional parameters. Returns when it
     /// was.
-    pub(super) fn inputs(&self, since: Time, out: &mut NativeBytes) -> Option<Time> {
-        let mut words = self.inputs.words();
-        let at = words.next().map(Time).filter(|at| *at > since)?;
-        let seen = words.next().unwrap_or(0) as u16;
-        let roles = match self.also.len() {
+    pub(super) fn inputs(&self, port: &NativePort, since: Time, out: &mut NativeBytes) -> Option<Time> {
+        let (at, seen, words) = port.newest(since)?;
+        let seen = seen as u16;
+        let roles = match self.0.len() {
             0 => (u16::BITS - seen.leading_zeros()) as usize,
             // The places of the additional ones are fixed.
             _ => ROLES,
         };
         out.put(&seen.to_le_bytes());
         out.put_words(words, COUNT * roles);
-        self.also.iter().for_each(|count| out.put(&count.load(Ordering::Relaxed).to_le_bytes()));
+        self.0.iter().for_each(|count| out.put(&count.load(Ordering::Relaxed).to_le_bytes()));
         Some(at)
-    }
-
-    #[inline]
-    pub(super) fn publish_also(&mut self, index: u8, count: i32) {
-        if let Some(place) = self.also.get(usize::from(index)) {
-            place.store(count, Ordering::Relaxed);
-        }
-    }
-
-    /// The next output, which stays until it is [taken](Self::pop).
-    pub(super) fn peek(&mut self) -> Option<NativeOutput> {
-        self.outputs.peek().copied()
-    }
-
-    /// The next output has left.
-    pub(super) fn pop(&mut self) {
-        let _ = self.outputs.pop();
-    }
-
-    /// Drops the outputs of a native mode that has ended; not those that the application writes meanwhile, which
-    /// would have no end.
-    pub(super) fn flush(&mut self) {
-        for _ in 0..self.outputs.slots().min(OUTPUTS) {
-            let _ = self.outputs.pop();
-        }
     }
 }
 
@@ -177,21 +134,12 @@ parts! {
     NativeOutput { control, reference }
 }
 
-impl Packed for NativeInputs {
-    type Words = [u64; 2 + Image::PAIRS];
-
-    #[inline]
-    fn pack(&self) -> Self::Words {
-        let mut words = Self::Words::ZERO;
-        let (seen, pairs) = self.image.parts();
-        words[0] = self.at.0;
-        words[1] = u64::from(self.running) << 63 | u64::from(seen);
-        words[2..].copy_from_slice(pairs);
-        words
-    }
-
-    fn unpack(words: &Self::Words) -> NativeInputs {
-        let [at, flags, pairs @ ..] = *words;
-        NativeInputs { at: Time(at), running: flags >> 63 != 0, image: Image::new(flags as u32, pairs) }
+impl From<native::Image> for NativeInputs {
+    fn from(image: native::Image) -> NativeInputs {
+        let pairs = image.words().first_chunk().copied().unwrap_or_default();
+        let values = Image::new(image.added() as u32, pairs);
+        NativeInputs { at: image.at(), running: image.flag(), image: values }
     }
 }
+
+const _: () = assert!(8 * Image::PAIRS <= native::MOST_INPUTS, "all values are published");

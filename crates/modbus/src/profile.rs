@@ -276,12 +276,8 @@ impl Profile {
     #[inline]
     pub(super) fn sent(&mut self, native: &mut NativePort) {
         if let Some((before, state)) = self.state.leave() {
-            if state.native_taken != before.native_taken {
-                native.pop();
-            }
-            if state.serials.1 != before.serials.1 {
-                native.flush();
-            }
+            let begins = state.serials.1 != before.serials.1;
+            native.left(state.native_taken != before.native_taken, begins.then(|| state.is_native()));
         }
     }
 

@@ -259,15 +259,12 @@ impl Profile {
     #[inline]
     pub(super) fn sent(&mut self, native: &mut NativePort) {
         self.turning = self.setpoint;
-        let Some((before, State { serials, native_taken, .. })) = self.state.leave() else { return };
+        let Some((before, state)) = self.state.leave() else { return };
+        let State { serials, native_taken, native_owner, .. } = state;
         self.power.sent(serials.0, self.answers);
         self.motion.sent(serials.1, self.answers);
-        if *native_taken != before.native_taken {
-            native.pop();
-        }
-        if serials.1 != before.serials.1 {
-            native.flush();
-        }
+        let begins = serials.1 != before.serials.1;
+        native.left(*native_taken != before.native_taken, begins.then_some(native_owner.is_some()));
     }
 
     /// A new telegram was answered.

@@ -108,7 +108,7 @@ impl<T: Packed> Writer<T> {
     }
 
     /// The same, of words that `fill` makes one after the other.
-    #[inline]
+    #[inline(always)] // A call would take what `fill` uses from the stack.
     pub fn write_with(&mut self, fill: impl FnOnce(&mut Places<'_>)) {
         let sequence = self.shared.sequence.load(Ordering::Relaxed);
         self.shared.sequence.store(sequence.wrapping_add(1), Ordering::Relaxed);
@@ -122,12 +122,6 @@ impl<T: Packed> Writer<T> {
     #[inline]
     pub fn words(&self) -> impl Iterator<Item = u64> + '_ {
         self.shared.words.as_ref().iter().map(|word| word.load(Ordering::Relaxed))
-    }
-
-    /// One of them; 0: there are not as many.
-    #[inline]
-    pub fn word(&self, place: usize) -> u64 {
-        self.shared.words.as_ref().get(place).map_or(0, |word| word.load(Ordering::Relaxed))
     }
 }
 

@@ -10,7 +10,7 @@
 //! | `plan`, `error` | [`BusPlan`]: a bus as configured, before any socket is open; why it cannot be opened |
 //! | `facts` | what a plan knows before the start, computed once |
 //! | `load` | what its exchanges put on its wire |
-//! | `native` | the native process data of a drive for a recording |
+//! | `native` | the native process data of a drive, for the application and for a recording |
 //! | `drives` | what the buses of all protocols do with their drives |
 //! | `reader`, `cia402` | what their wires have in common: values from bytes, the states in a status word |
 //! | `variant` | a bus in a machine that is otherwise like its own |

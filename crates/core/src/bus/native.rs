@@ -1,7 +1,14 @@
-//! The native process data of a drive for a recording: the bytes of one exchange, and what is known of their layout.
+//! The native process data of a drive: for the application ([`Native`]), and for a recording ([`NativeBytes`]), with
+//! what is known of their layout.
+
+mod ends;
+mod image;
 
 use std::fmt;
 use std::sync::Arc;
+
+pub use self::ends::{Native, NativePort, OUTPUTS, native};
+pub use self::image::{DRIVE, Image, MOST_INPUTS, words};
 
 use crate::time::Time;
 
@@ -89,14 +96,6 @@ impl NativeBytes {
         }
     }
 
-    /// The last bytes are those of `word`.
-    #[inline]
-    pub fn end_with(&mut self, word: u64) {
-        if let Some(last) = self.bytes.get_mut(..self.length).and_then(<[u8]>::last_chunk_mut) {
-            *last = word.to_le_bytes();
-        }
-    }
-
     /// All that was put so far are the inputs, which were taken in then. Appends the outputs, if they are of interest.
     #[inline]
     pub fn put_outputs<'a>(
@@ -178,9 +177,6 @@ mod tests {
         all.put(&[14]);
         let bytes: &[u8; 14] = all.part(0).unwrap();
         assert_eq!(bytes, &*(1..=14).collect::<Vec<u8>>());
-        // The last bytes anew.
-        all.end_with(u64::from_le_bytes([21, 22, 23, 24, 25, 26, 27, 28]));
-        assert_eq!((all.part(4), all.length()), (Some(&[5, 6, 21, 22, 23, 24, 25, 26, 27, 28]), 14));
         all.put(&[0; NativeBytes::MOST]);
         assert_eq!(all.length(), 14, "all of them, or none");
         all.put(&[7; NativeBytes::MOST - 14 - 16]);
@@ -193,7 +189,6 @@ mod tests {
         assert!(all.part::<44>(NativeBytes::MOST - 1).is_some(), "a part is whole");
         assert_eq!(all.part::<1>(2 * NativeBytes::MOST), None);
         all.clear();
-        all.end_with(1);
         assert_eq!((all.inputs(), all.length()), (0, 0));
     }
 

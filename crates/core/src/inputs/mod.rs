@@ -27,7 +27,7 @@
 //! | calls of the in-loop task, and its panic | the application's code on the loop | `cycle::task::Axes` |
 //! | room for the end of a task's command | the application, which takes events | `cycle::task::has_room` |
 //! | acyclic calls, and which are cancelled | normal threads | `axis::acyclic::Port` of an executor on the loop |
-//! | native process data of drives | the application | `NativePort` of each protocol |
+//! | native process data of drives | the application | `bus::native::NativePort` |
 //! | outputs of EtherCAT devices, and the room for their emergencies | the application | `bus::ethercat::native::TerminalPort` |
 //! | findings of the handshake of a Unidrive | the link thread | `bus::modbus::handshake::Found::get` |
 //! | news of the sessions of EtherNet/IP, the room for wishes, and whether a call commands | the link thread | `bus::ethernet_ip::exchange::LoopEnd` |

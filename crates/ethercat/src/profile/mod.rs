@@ -350,8 +350,12 @@ impl Profile {
 
     /// Publishes the inputs to the application.
     #[inline]
-    pub(super) fn publish(&mut self, at: Time, is_native: bool, inputs: &[u8]) {
-        self.native.publish(at, is_native, inputs);
+    pub(super) fn publish(&mut self, at: Time, inputs: &[u8]) {
+        match inputs.try_into() {
+            // Those of most drives.
+            Ok(inputs) => self.native.publish_array::<8>(at, 0, inputs),
+            Err(_) => self.native.publish(at, 0, inputs),
+        }
     }
 
     /// Native mode runs.
@@ -383,12 +387,8 @@ impl Profile {
         self.row.sent(self.wanted_row, self.answers);
         self.sent.setpoints = (self.setpoint, self.sent.setpoints.0);
         let Some((before, state)) = self.state.leave() else { return false };
-        if state.native_taken != before.native_taken {
-            self.native.pop();
-        }
-        if state.motion.serial != before.motion.serial {
-            self.native.flush();
-        }
+        let begins = state.motion.serial != before.motion.serial;
+        self.native.left(state.native_taken != before.native_taken, begins.then(|| state.is_native()));
         true
     }
 

@@ -267,7 +267,7 @@ impl Station {
         self.take_values(inputs);
         self.profile.prove_values(&self.seen.inputs, &mut slot.evidence);
         self.report_values(at, inputs, slot);
-        self.profile.publish(at, false, inputs);
+        self.profile.publish(at, inputs);
     }
 
     /// The same where more may have changed than the values.
@@ -294,7 +294,7 @@ impl Station {
         }
         self.led = operational && self.reached && self.profile.writes();
         self.seen.inputs.operational = operational;
-        self.profile.publish(at, self.profile.is_native(), inputs);
+        self.profile.publish(at, inputs);
         self.unsettle();
         if let Some(status) = status {
             self.read(at, StatusWord(status), inputs, slot);

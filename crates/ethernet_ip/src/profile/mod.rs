@@ -286,16 +286,15 @@ impl Profile {
     #[inline]
     pub(super) fn sent(&mut self, native: &mut NativePort) {
         let Some((before, state)) = self.state.leave() else { return };
-        if state.native_taken != before.native_taken {
-            native.pop();
-        }
-        if state.motion.serial != before.motion.serial {
-            let is_native = |motion: Motion| matches!(motion, Motion::Native(_));
-            native.runs(is_native(state.motion.value));
-            if is_native(before.motion.value) || is_native(state.motion.value) {
-                native.flush();
-            }
-        }
+        let begins = state.motion.serial != before.motion.serial;
+        let is_native = matches!(state.motion.value, Motion::Native(_));
+        native.left(state.native_taken != before.native_taken, begins.then_some(is_native));
+    }
+
+    /// So many outputs of the application have begun.
+    #[inline]
+    pub(super) fn begun_outputs(&self) -> u32 {
+        self.state.left().native_taken
     }
 }
 
@@ -498,16 +497,17 @@ impl State {
 
 #[cfg(test)]
 mod tests {
-    use super::super::native::native;
     use super::*;
+    use crate::native::Native;
     use fieldbeat_core::bus::desired::Evidence;
+    use fieldbeat_core::bus::native::native;
     use fieldbeat_core::time::MS;
 
     #[test]
     fn only_a_motion_that_no_other_power_has_replaced_was_not_taken() {
         for power in [Power::EnableOperation, Power::Off, Power::QuickStop] {
             let mut profile = Profile::new(&MoonsDrive::new("x", [10, 0, 0, 40].into()));
-            let (_native, mut port) = native();
+            let (_native, mut port): (Native, _) = native();
             let seen = Seen { any: true, status: status::ENABLED, ..Seen::default() };
             let motion = Motion::Velocity { velocity: 2.0, acceleration: 50.0 };
             let mut desired = Desired { motion: Intent { serial: 1, value: motion }, ..Desired::default() };

@@ -23,7 +23,7 @@ use self::report::Track;
 use self::serial::Identification;
 use super::counters::Own;
 use super::last::PowerSent;
-use super::native::{Native, NativePort, native};
+use super::native::{Native, NativePort};
 use super::other::OtherMaster;
 use super::plan::{LinUdpDrive, MonitorPlan, ReplyTag};
 use super::profile::{Inputs, Outputs, Profile};
@@ -33,6 +33,7 @@ use super::wire::{ErrorCode, MotionBlock, Request, ResponseDef, ResponseView, Rt
 use fieldbeat_core::axis::acyclic::{self, AcyclicEnds};
 use fieldbeat_core::axis::{Link, Units};
 use fieldbeat_core::bus::desired::Power;
+use fieldbeat_core::bus::native::native;
 use fieldbeat_core::bus::{Cycle, Exchange, Slot};
 use fieldbeat_core::inputs::InputLog;
 use fieldbeat_core::rt::Regions;

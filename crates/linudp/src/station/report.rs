@@ -104,7 +104,7 @@ impl Station {
         if !suspect && (!self.idle || self.shows) {
             self.take_config(view, carried.is_some(), slot);
         }
-        self.native.publish(at, view.bytes());
+        self.native.publish(at, 0, view.bytes());
     }
 
     /// Whether the drive has started anew, or is about to. False if this reply is the first one that says so: it may be

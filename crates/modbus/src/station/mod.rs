@@ -21,7 +21,7 @@ use super::echo::Echo;
 use super::handshake::{BUSY_WITHIN, Finding, Found};
 use super::identity::Identity;
 use super::mapping::{Image, Mapping};
-use super::native::{Native, NativePort, native};
+use super::native::{Also, Native, NativePort, native};
 use super::other::OtherMaster;
 use super::pace::Pace;
 use super::plan::UnidriveDrive;
@@ -32,6 +32,7 @@ use super::wire::ADU_MAX;
 use super::words::ControlWord;
 use fieldbeat_core::axis::acyclic::{self, AcyclicEnds};
 use fieldbeat_core::bus::desired::Accepted;
+use fieldbeat_core::bus::native::NativeBytes;
 use fieldbeat_core::bus::{Cycle, Slot};
 use fieldbeat_core::inputs::InputLog;
 use fieldbeat_core::net::Broken;
@@ -82,6 +83,7 @@ pub struct Station {
     inbox: Vec<u8>,
     profile: Profile,
     native: NativePort,
+    also: Also,
     calls: Calls,
     /// The requests that write, calls and settings; and those that only read.
     rooms: [[u8; ADU_MAX]; 2],
@@ -219,7 +221,7 @@ impl Station {
         found: Arc<Found>,
         log: &InputLog,
     ) -> (Station, Native, AcyclicEnds) {
-        let (application, native) = native(drive.map.also.len());
+        let (application, native, also) = native(drive.map.also.len());
         let outputs = [drive.map.control.parameter, drive.map.reference.parameter];
         let (ends, port) = acyclic::queue(drive.axis.parameter_queue, commanding(outputs));
         let (native, port) = (native.logged(log), port.logged(log));
@@ -244,6 +246,7 @@ impl Station {
             profile: Profile::new(drive),
             calls: Calls::new(port, drive.addressing),
             native,
+            also,
             connected: false,
             opened_before: false,
             passed: false,
@@ -258,10 +261,10 @@ impl Station {
         (station, application, ends)
     }
 
-    /// The native process data.
+    /// Appends the newest native process data, if they were taken in after `since`. Returns when they were.
     #[inline]
-    pub(super) fn native(&self) -> &NativePort {
-        &self.native
+    pub(super) fn native_inputs(&self, since: Time, out: &mut NativeBytes) -> Option<Time> {
+        self.also.inputs(&self.native, since, out)
     }
 
     /// Adds what it touches besides itself, to be locked.
@@ -269,6 +272,7 @@ impl Station {
         regions.add(&*self.inbox);
         regions.add(&*self.shown);
         self.native.memory(regions);
+        self.also.memory(regions);
         self.calls.memory(regions);
         for mapping in std::iter::once(&self.direct).chain(&self.menu_0) {
             mapping.memory(regions);

@@ -7,7 +7,7 @@ use crate::counters::Own;
 use crate::echo::Echo;
 use crate::identity::Whose;
 use crate::mapping::{Block, Image, Places, Role};
-use crate::native::NativePort;
+use crate::native::Also;
 use crate::pace::Pace;
 use crate::parameter::{DRIVE_UNIT, Parameter, Width};
 use crate::setup::Purpose;
@@ -274,7 +274,7 @@ impl Station {
         };
         let mapping = used(&self.direct, &self.menu_0, self.conn.finding.menu_0);
         if let Some(block) = blocks.read.and_then(|index| mapping.reads().get(usize::from(index))) {
-            read(block, data, &mut self.conn.image, &mut self.native);
+            read(block, data, &mut self.conn.image, &self.also);
             let places = block.places;
             self.cyclic_read(at, blocks, places, slot);
         }
@@ -354,13 +354,13 @@ fn close(pace: &mut Pace, at: Time, slot: &mut Slot) -> bool {
 }
 
 /// Takes the values of a block into the image.
-fn read(block: &Block, data: Registers<'_>, image: &mut Image, native: &mut NativePort) {
+fn read(block: &Block, data: Registers<'_>, image: &mut Image, also: &Also) {
     if block.in_order {
         return image.set_front(data);
     }
     let mut take = |role: &Role, count: i32| match (role.index(), role) {
         (Some(place), _) => image.set(place, count),
-        (None, Role::Also(index)) => native.publish_also(*index, count),
+        (None, Role::Also(index)) => also.publish(*index, count),
         (None, _) => {}
     };
     match block.width {

@@ -4,6 +4,7 @@ use super::{Blocks, Connection, Station};
 use crate::counters::Own;
 use crate::echo::Shown;
 use crate::mapping::{Places, Role};
+use crate::native::publish;
 use crate::words::{ControlWord, StatusWord};
 use fieldbeat_core::bus::Slot;
 use fieldbeat_core::time::{S, Time};
@@ -30,7 +31,7 @@ impl Station {
     pub(super) fn repeat(&mut self, at: Time, slot: &mut Slot) {
         self.conn.reference.reads_back(self.conn.written.reference);
         self.conn.inputs.reference = Some(self.conn.written.reference);
-        self.native.publish(at, false, &self.conn.image);
+        publish(&mut self.native, at, &self.conn.image);
         self.turns(at, slot);
     }
 
@@ -50,7 +51,7 @@ impl Station {
         let (control, reference) = (places.has(Role::Control), places.has(Role::Reference));
         let (status, speed) = (places.has(Role::Status), places.has(Role::Speed));
         let with_trip = places.has(Role::Trip);
-        self.native.publish(at, self.profile.is_native(), &self.conn.image);
+        publish(&mut self.native, at, &self.conn.image);
         if control || reference {
             // What this exchange has not written itself shows who did.
             let unwritten = control && !blocks.control || reference && !blocks.reference;

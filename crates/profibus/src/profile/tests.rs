@@ -1,8 +1,9 @@
 //! What is proved of the outputs: the answers to new telegrams alone count.
 
 use super::*;
-use crate::native::native;
+use crate::native::Native;
 use fieldbeat_core::bus::desired::Intent;
+use fieldbeat_core::bus::native::native;
 
 struct Rig {
     profile: Profile,
@@ -14,7 +15,7 @@ struct Rig {
 impl Rig {
     fn new() -> Rig {
         let drive = LenzeDrive::new("x", 3);
-        let (_, native) = native();
+        let (_, native): (Native, _) = native();
         let profile = Profile::new(&drive);
         Rig { profile, native, desired: Desired::default(), inputs: Inputs::default() }
     }

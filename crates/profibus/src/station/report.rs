@@ -1,6 +1,7 @@
 //! What a drive reports: its inputs in user units, its faults by name.
 
 use super::Station;
+use crate::native::words;
 use crate::notes::Note;
 use crate::plan::{LenzeDrive, ShownWord};
 use crate::wire::dp::{Diagnosis, DiagnosisStatus};
@@ -93,7 +94,7 @@ impl Station {
             }
         }
         let process = data.get(usize::from(self.process_at)..).unwrap_or_default();
-        self.native.publish(at, self.profile.is_native(), process);
+        self.native.publish(at, 0, words(process));
     }
 
     /// Its status, or what is proved, may be another one than before.

@@ -209,7 +209,9 @@ fn judged(seed: u64) -> Judged<Tally> {
     if judged.is_ok() && !shape.operated && seed.is_multiple_of(PROPOSED_EVERY) {
         let (_, proposing) = rounds(Shape { proposals: true, ..shape }, &all);
         if !tally.is_that_of(&proposing) {
-            let why = format!("{shape:?}: what is built and does not leave has an effect: {tally:?}, {proposing:?}");
+            let why = format!(
+                "{shape:?}: what is built and does not leave has an effect: {tally:?}, {proposing:?}"
+            );
             return (tally, Err(why));
         }
     }

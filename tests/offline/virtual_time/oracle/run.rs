@@ -58,7 +58,9 @@ pub struct Tally {
 impl Tally {
     /// Two runs were the same to the byte, and in all ends.
     pub fn is_that_of(&self, other: &Tally) -> bool {
-        let of = |tally: &Tally| [tally.wire, tally.accepted, tally.done, tally.failed, tally.aborted, tally.stops];
+        let of = |tally: &Tally| {
+            [tally.wire, tally.accepted, tally.done, tally.failed, tally.aborted, tally.stops]
+        };
         of(self) == of(other)
     }
 }
