@@ -15,6 +15,7 @@ use super::wire::{ErrorCode, REQUEST_MAX, RESPONSE_MAX, SHORTEST};
 use fieldbeat_core::axis::{AxisPlan, FoundRunning, PlanFault};
 use fieldbeat_core::bus::load::{Load, Medium, Way};
 use fieldbeat_core::bus::native::{NativeBytes, NativeLayout, WantedOutputs};
+use fieldbeat_core::bus::notes::NoteCells;
 use fieldbeat_core::bus::variant::Variant;
 use fieldbeat_core::bus::{
     Bus, BusFacts, BusNumbers, BusPlan, Cycle, DriveFacts, Ends, Exchange, Grid, LastResort, Notes,
@@ -126,13 +127,13 @@ impl LinUdpBus {
 
 /// Of drives that have to be certain ones: why one is not connected although it answers.
 #[derive(Debug)]
-struct SerialNotes(Vec<(SocketAddrV4, Option<(Serial, SerialNote)>)>);
+struct SerialNotes(Vec<(SocketAddrV4, Option<(Serial, NoteCells<SerialNote>)>)>);
 
 impl Notes for SerialNotes {
     fn get(&self, index: usize) -> Option<String> {
         let (address, known) = self.0.get(index)?;
         let (serial, note) = known.as_ref()?;
-        Some(format!("{address}: {}", note.text(*serial)?))
+        Some(format!("{address}: {}", note.get(0).text(*serial)?))
     }
 }
 

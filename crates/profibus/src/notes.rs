@@ -1,20 +1,15 @@
 //! Why a drive is not in Data_Exchange, for normal threads: written by the cycle without a lock, made text by the
 //! reader.
 
-use std::sync::Arc;
-
-use crossbeam::atomic::AtomicCell;
-
 use super::diagnosis::{LEFT, OVERLOADED};
 use super::start_up::WANTED;
 use super::wire::fc;
-use fieldbeat_core::bus;
+use fieldbeat_core::bus::{self, notes::NoteCells};
 use fieldbeat_core::net::LinkNotes;
 use fieldbeat_core::rt::Regions;
 
 /// Why a drive is not in Data_Exchange.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[repr(align(4))] // A word is written without a lock.
 pub(super) enum Note {
     /// It is, or nothing is known yet.
     #[default]
@@ -48,83 +43,74 @@ pub(super) enum Note {
     Noisy,
 }
 
-const _: () = assert!(AtomicCell::<Note>::is_lock_free());
-
 /// What the reader knows of a drive by itself.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct Known {
     pub address: u8,
     pub ident: u16,
     pub configuration: Vec<u8>,
 }
 
+/// Identifier bytes in a cell.
+const CHUNK: usize = 8;
+
 /// The notes of the drives of a bus, and of its wire. Clones are the same notes.
 #[derive(Clone, Debug)]
 pub(super) struct WireNotes {
-    shared: Arc<Shared>,
-    port: LinkNotes,
-}
-
-/// The note on one drive.
-#[derive(Debug)]
-struct Drive {
-    known: Known,
-    note: AtomicCell<Note>,
-    /// The first identifier bytes of the configuration that it wants.
-    wanted: [AtomicCell<u8>; WANTED],
-}
-
-#[derive(Debug)]
-struct Shared {
     device: String,
     /// The address of this master.
     own: u8,
-    drives: Vec<Drive>,
+    known: Vec<Known>,
+    drives: NoteCells<Note>,
+    /// The first identifier bytes of the configuration that each drive wants.
+    wanted: NoteCells<[u8; CHUNK]>,
     /// That of the wire: another master has it, it is noisy, or none.
-    wire: AtomicCell<Note>,
+    wire: NoteCells<Note>,
     /// The adapter returns what is sent, and nobody has said so.
-    returns: AtomicCell<bool>,
+    returns: NoteCells<bool>,
+    port: LinkNotes,
 }
 
 impl WireNotes {
-    pub(super) fn new(device: &str, own: u8, drives: Vec<Known>, port: LinkNotes) -> WireNotes {
-        let drive = |known| Drive { known, note: AtomicCell::default(), wanted: Default::default() };
-        let drives = drives.into_iter().map(drive).collect();
-        let (wire, returns) = (AtomicCell::default(), AtomicCell::default());
-        let shared = Shared { device: device.to_owned(), own, drives, wire, returns };
-        WireNotes { shared: Arc::new(shared), port }
+    pub(super) fn new(device: &str, own: u8, known: Vec<Known>, port: LinkNotes) -> WireNotes {
+        let (drives, wanted) = (NoteCells::new(known.len()), NoteCells::new(known.len() * WANTED / CHUNK));
+        let (wire, returns) = (NoteCells::new(1), NoteCells::new(1));
+        WireNotes { device: device.to_owned(), own, known, drives, wanted, wire, returns, port }
     }
 
     /// Adds what the cycle writes, to be locked.
     pub(super) fn memory(&self, regions: &mut Regions) {
-        regions.add(&*self.shared);
-        regions.add(&*self.shared.drives);
+        self.drives.memory(regions);
+        self.wire.memory(regions);
+        self.wanted.memory(regions);
+        self.returns.memory(regions);
     }
 
     /// Why drive `index` is not in Data_Exchange, and the identifier bytes that it wants.
     pub(super) fn set(&self, index: usize, note: Note, wanted: &[u8; WANTED]) {
-        if let Some(Drive { note: place, wanted: bytes, .. }) = self.shared.drives.get(index) {
-            if let Note::Configuration { .. } = note {
-                bytes.iter().zip(wanted).for_each(|(place, byte)| place.store(*byte));
-            }
-            place.store(note);
+        if let Note::Configuration { .. } = note {
+            let places = index * WANTED / CHUNK..;
+            places.zip(wanted.as_chunks().0).for_each(|(place, bytes)| self.wanted.set(place, *bytes));
         }
+        self.drives.set(index, note);
     }
 
     /// Another master is on the wire, or not any more.
     pub(super) fn set_other(&self, master: Option<u8>) {
-        self.shared.wire.store(master.map_or(Note::None, Note::Locked));
+        self.wire.set(0, master.map_or(Note::None, Note::Locked));
     }
 
     /// The adapter returns what is sent, and nobody has said so.
     pub(super) fn set_returns(&self) {
-        self.shared.returns.store(true);
+        self.returns.set(0, true);
     }
 
     /// The wire is never silent for long enough to be claimed.
     pub(super) fn set_noisy(&self) {
         // Another master says more.
-        let _ = self.shared.wire.compare_exchange(Note::None, Note::Noisy);
+        if self.wire.get(0) == Note::None {
+            self.wire.set(0, Note::Noisy);
+        }
     }
 }
 
@@ -161,10 +147,10 @@ impl bus::Notes for WireNotes {
         if let Some(note) = self.port.get(0) {
             return Some(note);
         }
-        let device = &self.shared.device;
-        match self.shared.wire.load() {
+        let device = &self.device;
+        match self.wire.get(0) {
             Note::Locked(master) => {
-                let (own, echo) = match master == self.shared.own {
+                let (own, echo) = match master == self.own {
                     true => (" as this one", "; or, if the adapter returns what is sent, set echo = true"),
                     false => ("", ""),
                 };
@@ -181,14 +167,13 @@ impl bus::Notes for WireNotes {
             }
             _ => {}
         }
-        let Drive { known, note, wanted } = self.shared.drives.get(index)?;
-        let Known { address, ident, configuration } = known;
-        Some(match note.load() {
+        let Known { address, ident, configuration } = self.known.get(index)?;
+        Some(match self.drives.get(index) {
             Note::None | Note::Unwatched | Note::Noisy => return None,
             Note::Absent => format!(
                 "nobody answers at address {address} on {device}: look at its power, its cable and \
                  terminators, its address and the rate{}",
-                if self.shared.returns.load() { RETURNS } else { "" }
+                if self.returns.get(0) { RETURNS } else { "" }
             ),
             Note::Ident(found) => format!(
                 "the slave at address {address} has ident number {found:#06x}, not {ident:#06x}: look \
@@ -203,7 +188,9 @@ impl bus::Notes for WireNotes {
                     .into()
             }
             Note::Configuration { wants } => {
-                let wanted: Vec<u8> = wanted.iter().map(AtomicCell::load).take(wants.into()).collect();
+                let places = index * WANTED / CHUNK..(index + 1) * WANTED / CHUNK;
+                let wanted = places.flat_map(|place| self.wanted.get(place));
+                let wanted: Vec<u8> = wanted.take(wants.into()).collect();
                 refused(configuration, &wanted, wants.into())
             }
             Note::Refused { sap, function } => format!(
@@ -223,20 +210,18 @@ impl bus::Notes for WireNotes {
     }
 
     fn is_vague(&self, index: usize) -> bool {
-        let is_absent = |drive: &Drive| drive.note.load() == Note::Absent;
-        self.shared.drives.get(index).is_some_and(is_absent)
-            && self.shared.wire.load() == Note::None
-            && !self.shared.returns.load()
+        self.drives.get(index) == Note::Absent
+            && self.wire.get(0) == Note::None
+            && !self.returns.get(0)
             && self.port.get(0).is_none()
     }
 
     fn remark(&self, index: usize) -> Option<String> {
-        let place = &self.shared.drives.get(index)?.note;
         let why = "its diagnosis does not report its watchdog as on, although it was set: it is not enabled";
-        let unwatched = (place.load() == Note::Unwatched).then(|| why.to_owned());
+        let unwatched = (self.drives.get(index) == Note::Unwatched).then(|| why.to_owned());
         // Of the wire: with the first drive.
-        let returns = index == 0 && self.shared.returns.load();
-        let device = &self.shared.device;
+        let returns = index == 0 && self.returns.get(0);
+        let device = &self.device;
         unwatched.or_else(|| {
             returns
                 .then(|| format!("the adapter of its wire, {device}, returns what is sent: set echo = true"))

@@ -11,6 +11,7 @@
 //! | `facts` | what a plan knows before the start, computed once |
 //! | `load` | what its exchanges put on its wire |
 //! | `native` | the native process data of a drive, for the application and for a recording |
+//! | `notes` | what is wrong by a wire's own names, from the loop to normal threads |
 //! | `drives` | what the buses of all protocols do with their drives |
 //! | `reader`, `cia402` | what their wires have in common: values from bytes, the states in a status word |
 //! | `variant` | a bus in a machine that is otherwise like its own |
@@ -25,6 +26,7 @@ mod error;
 pub mod facts;
 pub mod load;
 pub mod native;
+pub mod notes;
 mod plan;
 pub mod prepared;
 pub mod reader;

@@ -1,11 +1,9 @@
 //! The frames under way: each is numbered as it is sent, found again by its number as it comes back, and passed to the
 //! segment; what comes late, twice or from others is counted.
 
-use std::sync::atomic::Ordering;
-
 use super::EthercatBus;
 use super::endpoints::{DriveEnd, Endpoints};
-use super::notes::{DOWN, OTHER_MASTER, WELL};
+use super::notes::WireNote;
 use crate::counters::Own;
 use crate::image::{Mark, Read};
 use crate::segment::{Back, Sent};
@@ -102,8 +100,8 @@ impl EthercatBus {
                 self.known[place].answered = true;
                 (self.flights[frame].sent, self.flights[frame].back) = (None, true);
                 self.silent = 0;
-                let wire = if self.other.is_there(at) { OTHER_MASTER } else { WELL };
-                self.wire.store(wire, Ordering::Relaxed);
+                let is_other = self.other.is_there(at);
+                self.wire.set(0, if is_other { WireNote::OtherMaster } else { WireNote::None });
                 if !in_window {
                     // Too late for the exchanges of the drives, but not for what proceeds step by step.
                     self.count_late(frame, &sent, slots);
@@ -214,7 +212,7 @@ impl EthercatBus {
             frame.unload_outputs();
         }
         if sent == Err(Unsent::Down) {
-            self.wire.store(DOWN, Ordering::Relaxed);
+            self.wire.set(0, WireNote::Down);
         }
         let sent_at = sent.ok();
         let sent = sent_at.map(|at| Sent { cycle: *cycle, at });

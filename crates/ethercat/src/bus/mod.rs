@@ -15,11 +15,10 @@ mod plan;
 
 use std::os::fd::RawFd;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU8, Ordering};
 
 use self::endpoints::{DeviceEnd, DriveEnd, Endpoints, Outgoing};
 use self::frames::{Flight, KNOWN, Known};
-use self::notes::{NOTHING_BACK, OTHER_MASTER, SlaveNotes};
+use self::notes::{SlaveNotes, WireNote};
 use self::plan::open;
 use super::image::{Image, Mark};
 use super::native::terminals;
@@ -34,6 +33,7 @@ use fieldbeat_core::axis::acyclic::{self, Commanding};
 use fieldbeat_core::axis::cell;
 use fieldbeat_core::axis::{Feedback, Observer};
 use fieldbeat_core::bus::native::{NativeBytes, WantedOutputs};
+use fieldbeat_core::bus::notes::NoteCells;
 use fieldbeat_core::bus::{
     Bus, BusNumbers, Cycle, DeviceEnds, Ends, Exchange, OpenError, Opened, Slot, Unmatched,
 };
@@ -73,7 +73,7 @@ struct EthercatBus {
     /// The segment is being shut down: it owes no exchanges any more.
     ending: bool,
     /// The state of the wire, for normal threads; and the cycles in a row from which nothing came back.
-    wire: Arc<AtomicU8>,
+    wire: NoteCells<WireNote>,
     silent: u8,
     interface: String,
     unmatched: Unmatched,
@@ -154,7 +154,7 @@ impl EthercatBus {
             room: Box::new([0; FRAME_MAX]),
             prepared: false,
             ending: false,
-            wire: Arc::default(),
+            wire: NoteCells::new(1),
             silent: 0,
             interface: plan.interface.clone(),
             unmatched: Unmatched::default(),
@@ -187,7 +187,7 @@ impl Bus for EthercatBus {
         self.net.memory(regions);
         self.image.memory(regions);
         self.segment.memory(regions);
-        regions.add(&*self.wire);
+        self.wire.memory(regions);
         regions.add(&*self.known);
         regions.add(&*self.flights);
         regions.add(&*self.room);
@@ -224,8 +224,8 @@ impl Bus for EthercatBus {
         if !self.flights.iter().any(|flight| flight.back) {
             self.silent = self.silent.saturating_add(1);
             if self.silent >= SILENT {
-                let wire = if self.other.is_there(cycle.grid) { OTHER_MASTER } else { NOTHING_BACK };
-                self.wire.store(wire, Ordering::Relaxed);
+                let is_other = self.other.is_there(cycle.grid);
+                self.wire.set(0, if is_other { WireNote::OtherMaster } else { WireNote::NothingBack });
             }
         }
         self.finish(cycle, slots);

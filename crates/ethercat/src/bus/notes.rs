@@ -1,21 +1,28 @@
 //! Why slaves are not in operation, for normal threads.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU8, Ordering};
 
 use crate::counters::DeviceCounters;
 use crate::plan::Expected;
 use crate::segment::note::{Note, Notes as SegmentNotes};
 use fieldbeat_core::bus::Notes;
 use fieldbeat_core::bus::counters::OWN_COUNTERS;
+use fieldbeat_core::bus::notes::NoteCells;
 use fieldbeat_core::net::frames::Dropped;
 use fieldbeat_core::net::local;
 
-/// The state of the wire.
-pub(super) const WELL: u8 = 0;
-pub(super) const DOWN: u8 = 1;
-pub(super) const NOTHING_BACK: u8 = 2;
-pub(super) const OTHER_MASTER: u8 = 3;
+/// What is wrong with the wire.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) enum WireNote {
+    #[default]
+    None,
+    /// The interface is down.
+    Down,
+    /// No frame comes back.
+    NothingBack,
+    /// Frames of another master come.
+    OtherMaster,
+}
 
 /// A slave of the plan: its index, its position, and who it has to be.
 pub(super) type KnownSlave = (usize, u16, Expected);
@@ -32,7 +39,7 @@ pub(super) struct SlaveNotes {
     /// What is counted of each device.
     pub(super) counters: Vec<Arc<DeviceCounters>>,
     pub(super) dropped: Option<Arc<dyn Dropped>>,
-    pub(super) wire: Arc<AtomicU8>,
+    pub(super) wire: NoteCells<WireNote>,
     pub(super) interface: String,
 }
 
@@ -42,7 +49,7 @@ impl Notes for SlaveNotes {
     }
 
     fn is_vague(&self, _index: usize) -> bool {
-        self.wire.load(Ordering::Relaxed) == NOTHING_BACK
+        self.wire.get(0) == WireNote::NothingBack
     }
 
     fn device(&self, index: usize) -> Option<String> {
@@ -79,20 +86,22 @@ impl SlaveNotes {
     fn note(&self, (slave, place, expected): &KnownSlave) -> Option<String> {
         let interface = &self.interface;
         let text = self.notes.get(*slave).text(*place, expected);
-        match self.wire.load(Ordering::Relaxed) {
-            DOWN if local::name(interface).is_some() => {
+        match self.wire.get(0) {
+            WireNote::Down if local::name(interface).is_some() => {
                 Some(format!("nothing serves {interface}: start it: fieldbeat sim CONFIG"))
             }
-            DOWN => Some(format!("{interface} is down or has no cable: look at both, ip link shows it")),
-            NOTHING_BACK => Some(format!(
+            WireNote::Down => {
+                Some(format!("{interface} is down or has no cable: look at both, ip link shows it"))
+            }
+            WireNote::NothingBack => Some(format!(
                 "no frame comes back on {interface}: look at its cable, and at the power of the slave next \
                  to the master"
             )),
             // While it is there no slave is brought up; those that are in operation stay so.
-            OTHER_MASTER => text.map(|_| {
+            WireNote::OtherMaster => text.map(|_| {
                 format!("another master has frames on {interface}: end it, or look where its cable leads")
             }),
-            _ => text,
+            WireNote::None => text,
         }
     }
 }

@@ -56,19 +56,6 @@ pub enum Fault {
     Blank,
 }
 
-impl Fault {
-    /// All of them, each at the index of its number.
-    pub const ALL: [Fault; 7] = [
-        Fault::Owned,
-        Fault::Busy,
-        Fault::Refused,
-        Fault::Unloaded,
-        Fault::Checksum,
-        Fault::Address,
-        Fault::Blank,
-    ];
-}
-
 /// The bytes that start a read from `word` on, for the control register and the address after it.
 pub const fn read(word: u16) -> [u8; 6] {
     let ([a, b], [c, d]) = (Status::READ.to_le_bytes(), word.to_le_bytes());

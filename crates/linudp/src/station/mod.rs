@@ -34,6 +34,7 @@ use fieldbeat_core::axis::acyclic::{self, AcyclicEnds};
 use fieldbeat_core::axis::{Link, Units};
 use fieldbeat_core::bus::desired::Power;
 use fieldbeat_core::bus::native::native;
+use fieldbeat_core::bus::notes::NoteCells;
 use fieldbeat_core::bus::{Cycle, Exchange, Slot};
 use fieldbeat_core::inputs::InputLog;
 use fieldbeat_core::rt::Regions;
@@ -125,7 +126,7 @@ impl Station {
     }
 
     /// Why it is not connected although it answers.
-    pub(super) fn serial_note(&self) -> SerialNote {
+    pub(super) fn serial_note(&self) -> NoteCells<SerialNote> {
         self.who.note()
     }
 
@@ -134,6 +135,7 @@ impl Station {
         self.native.memory(regions);
         self.rtc.memory(regions);
         self.profile.memory(regions);
+        self.who.note().memory(regions);
     }
 
     /// What the requests that left say of the drive's power.

@@ -4,42 +4,38 @@
 //! is not connected, and nothing is written to it. The command has an own count in each attempt, and is one that a
 //! drive carries out at any time. After each loss of the link the number is read again: the drive may be another one.
 
-use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
-
 use crate::plan::Serial;
 use crate::wire::{RtcBlock, RtcCommand, RtcStatus};
+use fieldbeat_core::bus::notes::NoteCells;
 
 /// Clean replies without the echo of the command: the drive had stored this count already.
 const UNECHOED: u8 = 5;
 
-/// Why a drive is not connected although it answers, for normal threads.
-#[derive(Clone, Debug, Default)]
-pub(crate) struct SerialNote(Arc<AtomicU64>);
-
-/// What a note says, above its number.
-const ANOTHER: u64 = 1 << 32;
-const REFUSED: u64 = 2 << 32;
+/// Why a drive is not connected although it answers.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) enum SerialNote {
+    #[default]
+    None,
+    /// It has another serial number.
+    Another(u32),
+    /// It refuses to give it, by this code.
+    Refused(u8),
+}
 
 impl SerialNote {
-    fn set(&self, note: u64) {
-        self.0.store(note, Ordering::Relaxed);
-    }
-
     /// In words, for a drive that has to be this one.
-    pub(crate) fn text(&self, serial: Serial) -> Option<String> {
-        let note = self.0.load(Ordering::Relaxed);
-        let (number, from, expected) = (note as u32, serial.from, serial.number?);
-        match note & !u64::from(u32::MAX) {
-            ANOTHER => Some(format!(
+    pub(crate) fn text(self, Serial { from, number }: Serial) -> Option<String> {
+        let expected = number?;
+        match self {
+            SerialNote::None => None,
+            SerialNote::Another(number) => Some(format!(
                 "its serial number ({from}) is {number}, not {expected}: drives or cables are exchanged: put \
                  them back, or correct serial for another drive"
             )),
-            REFUSED => Some(format!(
-                "it does not give {from}, where its serial number is to be (status {number:#04x}): correct \
+            SerialNote::Refused(status) => Some(format!(
+                "it does not give {from}, where its serial number is to be (status {status:#04x}): correct \
                  serial_from, or leave serial out"
             )),
-            _ => None,
         }
     }
 }
@@ -62,7 +58,7 @@ pub(super) struct Identification {
     known: Known,
     count: u8,
     unechoed: u8,
-    note: SerialNote,
+    note: NoteCells<SerialNote>,
 }
 
 impl Identification {
@@ -70,10 +66,10 @@ impl Identification {
     pub(super) fn new(wanted: Option<Serial>) -> Identification {
         let wanted = wanted.filter(|wanted| wanted.number.is_some());
         let known = if wanted.is_none() { Known::Linked } else { Known::No };
-        Identification { wanted, known, count: 1, unechoed: 0, note: SerialNote::default() }
+        Identification { wanted, known, count: 1, unechoed: 0, note: NoteCells::new(1) }
     }
 
-    pub(super) fn note(&self) -> SerialNote {
+    pub(super) fn note(&self) -> NoteCells<SerialNote> {
         self.note.clone()
     }
 
@@ -115,10 +111,10 @@ impl Identification {
             RtcStatus::Running | RtcStatus::Busy => return,
             // The answer to an earlier command with this count.
             _ if block.index() != wanted.from.0 => {}
-            RtcStatus::Refused(refusal) => self.note.set(REFUSED | u64::from(refusal.code())),
-            _ if Some(block.value()) != wanted.number => self.note.set(ANOTHER | u64::from(block.value())),
+            RtcStatus::Refused(refusal) => self.note.set(0, SerialNote::Refused(refusal.code())),
+            _ if Some(block.value()) != wanted.number => self.note.set(0, SerialNote::Another(block.value())),
             _ => {
-                self.note.set(0);
+                self.note.set(0, SerialNote::None);
                 self.known = Known::Fresh;
             }
         }

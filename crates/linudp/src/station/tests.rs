@@ -250,7 +250,7 @@ fn a_reply_counts_once_the_drive_has_said_its_serial_number_and_after_each_loss_
         assert_eq!((is_answered, b.station.who.is_known()), (!is_asked, counts), "{link:?} {number}");
     }
     let note = b.station.serial_note();
-    assert_eq!(note.text(serial), None);
+    assert_eq!(note.get(0).text(serial), None);
     // A link that stays down, and a probe that was not answered.
     b.slot.link = Link::Lost;
     for is_known in [false, false] {

@@ -66,7 +66,7 @@ impl Slave {
             return;
         }
         let Some(end) = service.take_end() else { return };
-        let (object, is_factor) = (start.object, start.is_factor());
+        let (index, sub, is_factor) = (start.object.index, start.object.sub, start.is_factor());
         let mask = u32::MAX >> (32 - 8 * start.kind.bytes().min(4));
         let wanted = (start.raw as u32).saturating_mul(std::mem::replace(&mut self.factor, 1));
         match end {
@@ -82,7 +82,7 @@ impl Slave {
                 List::Verify | List::Found if is_factor => self.factor = found.max(1),
                 List::Found if (found ^ wanted) & mask != 0 => return self.not_joinable(now),
                 List::Verify if (found ^ wanted) & mask != 0 => {
-                    return self.refuse(now, Note::Differs { object, found });
+                    return self.refuse(now, Note::Differs { index, sub, found });
                 }
                 List::Write | List::Verify | List::Found => {}
             },
@@ -90,22 +90,25 @@ impl Slave {
             // its PDOs.
             Err(Failure::Abort(_)) if matches!(list, List::Verify | List::Power | List::Mode) => {}
             Err(Failure::Abort(abort)) if start.optional && abort.is_of_optional() => {
-                self.omitted = Note::Omitted { object, abort };
+                self.omitted = Note::Omitted { index, sub, abort };
             }
             Err(_) if self.way.joined || matches!(list, List::Power | List::Found | List::Mode) => {
                 return self.not_joinable(now);
             }
             Err(Failure::Abort(abort)) if list == List::Own => {
-                return self.refuse(now, Note::OwnValue { object, abort });
+                return self.refuse(now, Note::OwnValue { index, sub, abort });
             }
-            Err(Failure::Abort(abort)) => return self.refuse(now, Note::StartUp { object, abort }),
+            Err(Failure::Abort(abort)) => return self.refuse(now, Note::StartUp { index, sub, abort }),
             Err(Failure::Unusable(status)) => {
-                return self.list_again(now, Note::StartUp { object, abort: AbortCode(status) });
+                return self.list_again(now, Note::StartUp { index, sub, abort: AbortCode(status) });
             }
             Err(Failure::GivenUp(_)) => {
                 let within_ms = u32::try_from(self.plan.sdo_timeout_ns / MS).unwrap_or(u32::MAX);
-                let writes = list == List::Write;
-                return self.list_again(now, Note::Unanswered { object, writes, within_ms });
+                let note = match list {
+                    List::Write => Note::Unwritten { index, sub, within_ms },
+                    _ => Note::Unread { index, sub, within_ms },
+                };
+                return self.list_again(now, note);
             }
         }
         self.step = Step::Objects { list, next: next + 1, begun: false };
@@ -159,7 +162,7 @@ mod tests {
             slave.step = Step::list(List::Write);
             slave.objects(now, Some(&mut service));
             slave.objects(now, Some(&mut service));
-            let note = Note::Unanswered { object, writes: true, within_ms: 2_000 };
+            let note = Note::Unwritten { index: 0x1C12, sub: 1, within_ms: 2_000 };
             assert_eq!(slave.note(), note);
             let is_there = matches!(slave.step, Step::State(Change { to: AlState::PreOp, .. }));
             assert_eq!(is_there, list < LISTS, "{:?}", slave.step);

@@ -257,7 +257,8 @@ impl Slave {
             self.request(context, ask);
         } else {
             let error = context.clock.error_ns().and_then(|error| i32::try_from(error).ok());
-            self.note = Note::WaitsForLock(error.filter(|_| self.plan.sync && !locked));
+            let error = error.filter(|_| self.plan.sync && !locked);
+            self.note = error.map_or(Note::WaitsForLock, Note::Unlocked);
         }
     }
 
