@@ -114,6 +114,7 @@ struct State {
     channel: MotionChannel,
     /// The motion is a command of the channel: its echo proves it.
     is_command: bool,
+    is_native: bool,
     /// None of the counts was taken, or the drive must not have this command.
     refused: Option<Refused>,
     /// The control word of the application, in native mode.
@@ -129,8 +130,9 @@ struct State {
 #[repr(C)]
 pub(super) struct Profile {
     state: Prepared<State>,
-    /// The blocks of the prepared request.
-    outputs: Outputs,
+    /// The control word of the prepared request, which has no other block; no row follows it, and no native output.
+    control: Option<ControlWord>,
+    only_control: bool,
     voltage: Voltage,
     rules: Rules,
     /// For the last resort.
@@ -196,7 +198,8 @@ impl Profile {
         let LinUdpDrive { axis, stream, sto_after, .. } = drive;
         Profile {
             state: Prepared::new(State::default()),
-            outputs: Outputs::default(),
+            control: None,
+            only_control: false,
             voltage: Voltage::Unknown,
             rules: Rules { units: axis.units, stream: *stream, sto_after_ns: nanos(*sto_after) },
             power_sent: PowerSent::default(),
@@ -225,16 +228,16 @@ impl Profile {
         control == control_before && channel.is_settled() && !matches!(self.voltage, Voltage::Missing { .. })
     }
 
-    /// The blocks of the next request, if they are those of the last one that was built.
+    /// The next request has the blocks of the last one that was built: a control word, or none.
     #[inline]
-    pub(super) fn holds(&self, desired: &Desired) -> Option<Outputs> {
-        let holds = self.state.holds(desired.revision())
-            && match desired.motion.value {
-                Motion::Follow => desired.setpoint.row == self.state.left().serials.row,
-                Motion::Native(_) => false,
-                _ => true,
-            };
-        holds.then_some(self.outputs)
+    pub(super) fn holds(&self, desired: &Desired) -> bool {
+        self.state.holds(desired.revision()) && self.only_control
+    }
+
+    /// The control word of the prepared request.
+    #[inline]
+    pub(super) fn control(&self) -> Option<ControlWord> {
+        self.control
     }
 
     /// A reply has changed what the next request was built from.
@@ -272,24 +275,23 @@ impl Profile {
         }
         state.control_before = state.control;
         state.control = state.native_control.or_else(|| control(power.value, motion.value));
-        self.outputs =
+        let outputs =
             Outputs { control: state.control, motion: state.channel.block(), config: state.native_config };
         state.channel.sent();
-        self.outputs
+        let goes_on = matches!(motion.value, Motion::Follow | Motion::Native(_));
+        (self.control, self.only_control) = (outputs.control, outputs.motion.is_none() && !goes_on);
+        outputs
     }
 
-    /// The last built request has gone out, for what is desired.
+    /// The last built request has gone out.
     #[inline]
-    pub(super) fn sent(&mut self, motion: Motion, native: &mut NativePort) {
+    pub(super) fn sent(&mut self, native: &mut NativePort) {
         if let Some((before, state)) = self.state.leave() {
             if state.control != before.control {
                 self.power_sent.note(state.control);
             }
             let begins = state.serials.motion != before.serials.motion;
-            native.left(
-                state.native_taken != before.native_taken,
-                begins.then(|| matches!(motion, Motion::Native(_))),
-            );
+            native.left(state.native_taken != before.native_taken, begins.then_some(state.is_native));
         }
     }
 
@@ -398,7 +400,7 @@ impl State {
             Motion::Velocity { .. } => None,
             Motion::Hold | Motion::Follow | Motion::Halt | Motion::Home | Motion::Native(_) => None,
         };
-        self.is_command = command.is_some();
+        (self.is_command, self.is_native) = (command.is_some(), matches!(motion, Motion::Native(_)));
         if let Some(command) = command {
             self.channel.send(command);
         }

@@ -73,6 +73,8 @@ struct State {
     serials: (u64, u64),
     power: Power,
     motion: Motion,
+    /// It runs by the setpoints of the master.
+    follows: bool,
     /// The request with them was refused: they have to go out again.
     is_refused: bool,
     /// The last commanded direction; it is kept at zero.
@@ -162,6 +164,7 @@ impl Profile {
             serials: (0, 0),
             power: Power::Untouched,
             motion: Motion::Hold,
+            follows: false,
             is_refused: false,
             reverse: false,
             turning: None,
@@ -205,10 +208,9 @@ impl Profile {
         let state = self.state.left();
         // Of a drive that goes on turning in its direction only the speed is new.
         if self.state.holds(desired.revision())
-            && state.runs()
+            && state.follows
             && raw != 0.0
             && state.turning == Some(raw < 0.0)
-            && !state.is_native()
         {
             self.outputs.reference = rounded(raw.abs());
             return Some(self.outputs);
@@ -231,6 +233,7 @@ impl Profile {
         }
         state.serials = (power.serial, motion.serial);
         (state.power, state.motion, state.is_refused) = (power.value, motion.value, false);
+        state.follows = state.runs() && !state.is_native();
         // A drive at standstill holds its motor until RUN is off, and drops it with ENABLE.
         state.releasing = state.power == Power::Off
             && inputs.status.active()
@@ -253,6 +256,7 @@ impl Profile {
     }
 
     /// The request that is built writes the control word, the reference: their leaving is an effect.
+    #[inline]
     pub(super) fn carries(&mut self, control: bool, reference: bool) {
         let outputs = self.outputs;
         self.state.amend(|state| {

@@ -79,9 +79,6 @@ impl Carried {
 struct State {
     /// The serials of power and motion.
     serials: (u64, u64),
-    /// It follows the set point.
-    runs: bool,
-    control: u16,
     /// Who owns the control word in native mode; `None`: that does not run.
     native_owner: Option<NativeOwner>,
     /// The outputs of the application in this native mode, and those that stay of the ones before.
@@ -103,7 +100,11 @@ impl State {
 #[repr(C)] // What an exchange touches in any case comes first.
 pub(super) struct Profile {
     state: Prepared<State>,
-    /// The velocity that the outputs are built of.
+    /// Of the telegram that is built: the drive follows the set point, the application writes some outputs, the control
+    /// word, and the velocity of its set point.
+    runs: bool,
+    is_native: bool,
+    control: u16,
     velocity: f64,
     /// Counts of one user unit/s; negative if the axis is inverted.
     scale: f64,
@@ -149,6 +150,9 @@ impl Profile {
     pub(super) fn new(drive: &LenzeDrive) -> Profile {
         Profile {
             state: Prepared::new(State::default()),
+            runs: false,
+            is_native: false,
+            control: 0,
             velocity: 0.0,
             scale: drive.counts_per_velocity(),
             answers: 0,
@@ -169,20 +173,17 @@ impl Profile {
     /// one that was built.
     #[inline]
     pub(super) fn encode(&mut self, desired: &Desired, native: &mut NativePort) -> Option<(u16, i16)> {
-        let is_built =
-            self.state.holds(desired.revision()) && !matches!(desired.motion.value, Motion::Native(_));
-        if !is_built {
+        if self.is_native || !self.state.holds(desired.revision()) {
             self.build(desired, native);
         } else if desired.setpoint.velocity == self.velocity {
             return None;
         }
-        let State { runs, control, .. } = *self.state.proposed();
         self.velocity = desired.setpoint.velocity;
         // Rounded by hand: without SSE4.1 `round` is a call. A plan whose velocities do not fit is refused; the rest
         // saturates.
-        let raw = if runs { self.velocity * self.scale } else { 0.0 };
+        let raw = if self.runs { self.velocity * self.scale } else { 0.0 };
         self.setpoint = (raw + 0.5_f64.copysign(raw)) as i16;
-        Some((control, self.setpoint))
+        Some((self.control, self.setpoint))
     }
 
     /// Something else is desired, or written by the application.
@@ -205,7 +206,8 @@ impl Profile {
             state.native_taken = state.native_taken.wrapping_add(1);
         }
         let halted = motion.value == Motion::Halt;
-        state.runs = power.value == Power::EnableOperation && !halted;
+        self.runs = power.value == Power::EnableOperation && !halted;
+        self.is_native = state.native_owner.is_some();
         let word = match power.value {
             Power::Untouched | Power::Off => Control::INHIBIT,
             Power::Shutdown => Control::SHUTDOWN,
@@ -215,7 +217,7 @@ impl Profile {
             Power::QuickStop => Control::QUICK_STOP,
             Power::FaultReset => Control(Control::FAULT_RESET),
         };
-        state.control = match self.profile {
+        self.control = match self.profile {
             DriveProfile::Profidrive if power.value != Power::Untouched => word.0 | Control::BY_PLC,
             _ => word.0,
         };
@@ -234,13 +236,13 @@ impl Profile {
 
     /// The control word and the set point of the telegram that is built.
     pub(super) fn values(&self) -> (u16, i16) {
-        (self.state.proposed().control, self.setpoint)
+        (self.control, self.setpoint)
     }
 
     /// Native mode runs with the telegram that is built.
     #[inline]
     pub(super) fn is_native(&self) -> bool {
-        self.state.proposed().native_owner.is_some()
+        self.is_native
     }
 
     /// A report has changed what the next telegram was built from.

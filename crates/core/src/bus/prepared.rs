@@ -88,6 +88,7 @@ impl<T: Clone + PartialEq> Prepared<T> {
     }
 
     /// Of a telegram that carries only a part of what was proposed: what its leaving changes in addition, or not.
+    #[inline]
     pub fn amend(&mut self, change: impl FnOnce(&mut T)) {
         if self.is_proposed {
             change(&mut self.proposed);
@@ -95,6 +96,7 @@ impl<T: Clone + PartialEq> Prepared<T> {
     }
 
     /// The telegram carries nothing of what was proposed: its leaving changes nothing.
+    #[inline]
     pub fn withdraw(&mut self) {
         if std::mem::take(&mut self.is_proposed) && self.proposed != self.left {
             self.built_for = None;
@@ -123,6 +125,16 @@ impl<T: Clone + PartialEq> Prepared<T> {
         self.revision += 1;
         (self.is_proposed, self.is_void) = (false, self.built_for.take().is_some());
         change(&mut self.left)
+    }
+
+    /// The same by what often changes nothing.
+    pub fn change_if<R>(&mut self, change: impl FnOnce(&mut T) -> R) -> R {
+        let mut state = self.left.clone();
+        let result = change(&mut state);
+        if state != self.left {
+            self.change(|left| *left = state);
+        }
+        result
     }
 }
 
@@ -158,7 +170,11 @@ mod tests {
                     assert_eq!(prepared.leave(), None, "it leaves once");
                 }
                 if random.u8(..4) == 0 {
-                    prepared.change(|_| ());
+                    let revision = prepared.revision();
+                    prepared.change_if(|_| ());
+                    assert_eq!(prepared.revision(), revision);
+                    prepared.change_if(|state| *state += 1);
+                    model += 1;
                 }
                 assert_eq!(*prepared.left(), model);
             }

@@ -187,6 +187,10 @@ pub struct Profile {
     quantity: Quantity,
     /// What is neither control word nor setpoint is in the outputs.
     is_filled: bool,
+    /// Of the prepared exchange: the control word, and the setpoint. It is built anew each time: the application writes
+    /// some outputs, or a target follows the actual position.
+    builds_each: bool,
+    control: ControlWord,
     setpoint: i32,
     sent: Sent,
     state: Prepared<State>,
@@ -246,6 +250,8 @@ impl Profile {
             grid: Time(0),
             wanted_row: 0,
             setpoint: 0,
+            control: ControlWord(0),
+            builds_each: false,
             is_filled: false,
             state: Prepared::new(State::default()),
             sent: Sent::default(),
@@ -280,20 +286,15 @@ impl Profile {
             // Without a setpoint its scale is 0.
             rounded(if is_velocity { setpoint.velocity } else { setpoint.torque } * self.scale) as i32
         };
-        let is_native = matches!(desired.motion.value, Motion::Native(_));
-        if is_native || self.offsets.follows || !self.state.holds(desired.revision()) {
+        if self.builds_each || !self.state.holds(desired.revision()) {
             self.build(desired, actual);
         }
         if !std::mem::replace(&mut self.is_filled, true) {
             self.offsets.fill(outputs);
         }
-        let state = self.state.proposed();
-        self.offsets.write(state.control.0, self.setpoint, outputs);
-        if self.offsets.follows {
-            self.offsets.follow(actual.0, state.held.unwrap_or(actual.0), outputs);
-        }
-        if is_native {
-            self.encode_native(outputs);
+        self.offsets.write(self.control.0, self.setpoint, outputs);
+        if self.builds_each {
+            self.encode_more(actual.0, outputs);
         }
     }
 
@@ -313,6 +314,7 @@ impl Profile {
         if self.offsets.follows {
             state.hold(actual);
         }
+        (self.control, self.builds_each) = (state.control, state.is_native() || self.offsets.follows);
     }
 
     /// The outputs are not the ones that were written last.
@@ -331,14 +333,20 @@ impl Profile {
         self.is_filled &= !self.offsets.carry_mode(mode);
     }
 
-    /// Writes the native outputs of the application over those of the master.
-    fn encode_native(&mut self, outputs: &mut [u8]) {
-        let State { output: Some(output), motion, control, .. } = self.state.proposed() else { return };
+    /// Writes a position target that is not the setpoint, and the native outputs of the application over those of the
+    /// master.
+    #[inline(never)]
+    fn encode_more(&mut self, actual: i32, outputs: &mut [u8]) {
+        let State { output, motion, held, .. } = self.state.proposed();
+        if self.offsets.follows {
+            self.offsets.follow(actual, held.unwrap_or(actual), outputs);
+        }
+        let Some(output) = output else { return };
         self.is_filled = false;
         let size = output.bytes().len().min(outputs.len());
         outputs[..size].copy_from_slice(&output.bytes()[..size]);
         if motion.value == Motion::Native(NativeOwner::Master) {
-            self.offsets.write_control(control.0, outputs);
+            self.offsets.write_control(self.control.0, outputs);
         }
     }
 

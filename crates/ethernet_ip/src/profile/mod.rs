@@ -174,7 +174,8 @@ impl Profile {
             power_step: Step::Settled,
             motion_step: Step::Settled,
             holder: Holder::Nobody,
-            is_taken: false,
+            // There is nothing to take.
+            is_taken: true,
             word: command::IDLE,
             repeats: 0,
             refused: None,

@@ -13,7 +13,7 @@ impl Profile {
     #[doc(hidden)]
     pub fn take(&mut self, seen: &Seen, evidence: &mut Evidence) {
         let Profile { state, rules, settled, .. } = self;
-        state.change(|state| state.take(seen, rules, evidence));
+        state.change_if(|state| state.take(seen, rules, evidence));
         *settled = state.left().is_settled().then(|| state.revision());
     }
 }

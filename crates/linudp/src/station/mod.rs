@@ -153,13 +153,15 @@ impl Station {
             && self.idle
             && self.guarded == slot.guarded
             && !self.rtc.is_called();
-        let Some(Outputs { control, motion, .. }) = self.profile.holds(&slot.desired).filter(|_| is_quiet)
-        else {
+        if !(is_quiet && self.profile.holds(&slot.desired)) {
             return self.build(cycle, slot, out);
-        };
+        }
         (slot.commanded, slot.expected_silence, self.probing) = (false, false, false);
-        let request =
-            Request { response_def: self.identity.response_def(), control, motion, ..Request::default() };
+        let request = Request {
+            response_def: self.identity.response_def(),
+            control: self.profile.control(),
+            ..Request::default()
+        };
         self.emit(&request, None, out)
     }
 
@@ -232,7 +234,7 @@ impl Station {
         }
         slot.counters.sent += 1;
         slot.exchange = Exchange::Owed { sent_at, reply_by, awaited: true };
-        self.profile.sent(slot.desired.motion.value, &mut self.native);
+        self.profile.sent(&mut self.native);
         slot.gone.grid = Some(self.grid);
         self.other.sent();
         if !self.idle {

@@ -266,22 +266,27 @@ impl Machine {
     fn plan(&mut self, grid: Time, slot: &mut Slot) {
         let view = View::of(&self.rules, &self.input, grid, slot);
         // A setpoint is planned from the last one that was sent: what was not sent leaves nothing behind.
-        let waiting = self.waiting.as_mut();
-        let (begun, waits) = waiting.map_or((None, false), |waiting| waiting.begin(&mut self.state, &view));
+        let (begun, waits) = match &mut self.waiting {
+            None => (None, false),
+            Some(waiting) => waiting.begin(&mut self.state, &view),
+        };
         let state = self.state.proposed_mut();
         let led = state.lead(&view);
-        let end = begun.or(led);
-        self.end = self.end.or(end);
+        if begun.is_some() || led.is_some() {
+            self.end = self.end.or(begun).or(led);
+        }
         if state.is_new {
             slot.desired = state.desired();
         } else {
             slot.desired.setpoint = state.setpoint;
         }
-        // No serial is used twice: what is replaced before it left is another intent.
-        let serial = state.serial;
-        self.state.left_mut().serial = serial;
-        if waits {
-            self.state.withdraw();
+        if self.waiting.is_some() {
+            // No serial is used twice: what is replaced before it left is another intent.
+            let serial = state.serial;
+            self.state.left_mut().serial = serial;
+            if waits {
+                self.state.withdraw();
+            }
         }
     }
 
