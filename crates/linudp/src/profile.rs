@@ -286,6 +286,13 @@ impl Profile {
     /// The last built request has gone out.
     #[inline]
     pub(super) fn sent(&mut self, native: &mut NativePort) {
+        if self.state.is_proposed() {
+            self.sent_new(native);
+        }
+    }
+
+    #[inline(never)]
+    fn sent_new(&mut self, native: &mut NativePort) {
         if let Some((before, state)) = self.state.leave() {
             if state.control != before.control {
                 self.power_sent.note(state.control);

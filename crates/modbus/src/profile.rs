@@ -279,6 +279,13 @@ impl Profile {
     /// The request that was built has gone out.
     #[inline]
     pub(super) fn sent(&mut self, native: &mut NativePort) {
+        if self.state.is_proposed() {
+            self.sent_new(native);
+        }
+    }
+
+    #[inline(never)]
+    fn sent_new(&mut self, native: &mut NativePort) {
         if let Some((before, state)) = self.state.leave() {
             let begins = state.serials.1 != before.serials.1;
             native.left(state.native_taken != before.native_taken, begins.then(|| state.is_native()));

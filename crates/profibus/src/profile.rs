@@ -261,6 +261,13 @@ impl Profile {
     #[inline]
     pub(super) fn sent(&mut self, native: &mut NativePort) {
         self.turning = self.setpoint;
+        if self.state.is_proposed() {
+            self.sent_new(native);
+        }
+    }
+
+    #[inline(never)]
+    fn sent_new(&mut self, native: &mut NativePort) {
         let Some((before, state)) = self.state.leave() else { return };
         let State { serials, native_taken, native_owner, .. } = state;
         self.power.sent(serials.0, self.answers);

@@ -126,16 +126,6 @@ impl<T: Clone + PartialEq> Prepared<T> {
         (self.is_proposed, self.is_void) = (false, self.built_for.take().is_some());
         change(&mut self.left)
     }
-
-    /// The same by what often changes nothing.
-    pub fn change_if<R>(&mut self, change: impl FnOnce(&mut T) -> R) -> R {
-        let mut state = self.left.clone();
-        let result = change(&mut state);
-        if state != self.left {
-            self.change(|left| *left = state);
-        }
-        result
-    }
 }
 
 #[cfg(test)]
@@ -170,10 +160,7 @@ mod tests {
                     assert_eq!(prepared.leave(), None, "it leaves once");
                 }
                 if random.u8(..4) == 0 {
-                    let revision = prepared.revision();
-                    prepared.change_if(|_| ());
-                    assert_eq!(prepared.revision(), revision);
-                    prepared.change_if(|state| *state += 1);
+                    prepared.change(|state| *state += 1);
                     model += 1;
                 }
                 assert_eq!(*prepared.left(), model);

@@ -394,6 +394,11 @@ impl Profile {
     pub(super) fn sent(&mut self) -> bool {
         self.row.sent(self.wanted_row, self.answers);
         self.sent.setpoints = (self.setpoint, self.sent.setpoints.0);
+        self.state.is_proposed() && self.sent_new()
+    }
+
+    #[inline(never)]
+    fn sent_new(&mut self) -> bool {
         let Some((before, state)) = self.state.leave() else { return false };
         let begins = state.motion.serial != before.motion.serial;
         self.native.left(state.native_taken != before.native_taken, begins.then(|| state.is_native()));

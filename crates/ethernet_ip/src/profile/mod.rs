@@ -286,6 +286,13 @@ impl Profile {
     /// The packet has gone out.
     #[inline]
     pub(super) fn sent(&mut self, native: &mut NativePort) {
+        if self.state.is_proposed() {
+            self.sent_new(native);
+        }
+    }
+
+    #[inline(never)]
+    fn sent_new(&mut self, native: &mut NativePort) {
         let Some((before, state)) = self.state.leave() else { return };
         let begins = state.motion.serial != before.motion.serial;
         let is_native = matches!(state.motion.value, Motion::Native(_));

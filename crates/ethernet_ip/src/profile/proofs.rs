@@ -13,16 +13,29 @@ impl Profile {
     #[doc(hidden)]
     pub fn take(&mut self, seen: &Seen, evidence: &mut Evidence) {
         let Profile { state, rules, settled, .. } = self;
-        state.change_if(|state| state.take(seen, rules, evidence));
+        let is_settled = *settled == Some(state.revision()) && !state.left().is_unsettled_by(seen);
+        if !is_settled {
+            state.change(|state| state.take(seen, rules));
+        }
+        state.left().prove(seen, evidence);
         *settled = state.left().is_settled().then(|| state.revision());
     }
 }
 
 impl State {
-    fn take(&mut self, seen: &Seen, rules: &Rules, evidence: &mut Evidence) {
+    fn take(&mut self, seen: &Seen, rules: &Rules) {
         self.edges.answered();
         self.see(seen, rules);
         self.repeat(seen);
+    }
+
+    /// Although nothing was under way, this packet changes something.
+    fn is_unsettled_by(&self, seen: &Seen) -> bool {
+        let stopped = !seen.moves() && (self.jog.is_some() || self.ramp.is_some());
+        stopped || self.is_to_repeat(seen) != (false, false)
+    }
+
+    fn prove(&self, seen: &Seen, evidence: &mut Evidence) {
         let since = |settled: bool, serial: u64| if settled { serial } else { serial.saturating_sub(1) };
         let power_has = match self.power_step {
             Step::Held => self.edges.is_delivered(),
@@ -132,21 +145,26 @@ impl State {
         };
     }
 
-    /// A stop, and power off, are repeated until they are seen: whatever set the drive in motion after that.
-    fn repeat(&mut self, seen: &Seen) {
+    /// A stop, and power off, are repeated until they are seen: whatever set the drive in motion after that. Of the
+    /// motion, and of the power.
+    fn is_to_repeat(&self, seen: &Seen) -> (bool, bool) {
+        let runs = seen.moves() && !seen.has(status::STOPPING);
         let stops = matches!(self.motion.value, Motion::Ramp { .. } | Motion::Halt);
-        if stops && self.motion_step == Step::Settled && seen.moves() && !seen.has(status::STOPPING) {
-            self.motion_step = Step::Due;
-        }
-        if self.power_step != Step::Settled || self.power.serial == 0 {
-            return;
-        }
-        let again = match self.power.value {
+        let off = match self.power.value {
             Power::Off | Power::Shutdown => seen.is_enabled(),
-            Power::QuickStop => seen.moves() && !seen.has(status::STOPPING),
+            Power::QuickStop => runs,
             _ => false,
         };
-        if again {
+        let is_settled = self.power_step == Step::Settled && self.power.serial > 0;
+        (stops && self.motion_step == Step::Settled && runs, is_settled && off)
+    }
+
+    fn repeat(&mut self, seen: &Seen) {
+        let (motion, power) = self.is_to_repeat(seen);
+        if motion {
+            self.motion_step = Step::Due;
+        }
+        if power {
             self.power_step = Step::Due;
         }
     }
