@@ -154,8 +154,8 @@ impl MotionChannel {
         Ok(())
     }
 
-    /// No command is under way, there is none or the drive has it: no request carries one, and another reply with the same
-    /// count changes nothing.
+    /// No command is under way, there is none or the drive has it: no request carries one, and another reply with the
+    /// same count changes nothing.
     pub(super) fn is_settled(&self) -> bool {
         self.command.is_none() || self.is_accepted()
     }

@@ -1,5 +1,5 @@
-//! What is wrong, by name, for normal threads: the loop writes a word without a lock and without waiting, and who reads it
-//! makes it text.
+//! What is wrong, by name, for normal threads: the loop writes a word without a lock and without waiting, and who reads
+//! it makes it text.
 
 use std::sync::Arc;
 
@@ -12,8 +12,8 @@ use crate::rt::Regions;
 #[repr(align(8))]
 struct Word<N>(N);
 
-/// The newest note on each of several drives, slaves or wires: a wire's own enumeration, eight bytes at most. Clones are
-/// the same notes.
+/// The newest note on each of several drives, slaves or wires: a wire's own enumeration, eight bytes at most. Clones
+/// are the same notes.
 #[derive(Clone, Debug, Default)]
 pub struct NoteCells<N: Copy>(Arc<[AtomicCell<Word<N>>]>);
 

@@ -2,8 +2,8 @@
 //!
 //! A telegram is built from the state that all telegrams before it have led to, and its leaving is what changes that
 //! state. One that is built again, for this send or a later one, begins from the same state; so what was replaced, or
-//! refused by the operating system, leaves nothing behind. Reports of the drive change the state at once: what was built
-//! before does not hold any more, and is built again before it leaves.
+//! refused by the operating system, leaves nothing behind. Reports of the drive change the state at once: what was
+//! built before does not hold any more, and is built again before it leaves.
 
 /// The state that the telegrams which left have led to, and the one behind the telegram that is built.
 ///

@@ -330,7 +330,8 @@ impl Desk<'_> {
         let then = match save()? {
             Saved::Acknowledged => "; home it",
             Saved::Silently => {
-                " as far as can be seen: it fell silent and came back without an error code; restart it and check"
+                " as far as can be seen: it fell silent and came back without an error code; restart it and \
+                 check"
             }
         };
         self.done(Ok(()), &format!("{what}{then}"))
@@ -339,7 +340,10 @@ impl Desk<'_> {
     fn errors(&self, as_json: bool) -> Result<(), Stop> {
         let (program, log) = (self.program, self.services.error_log()?);
         if as_json {
-            let entry = |LoggedError { code, text, hours, ms }: &LoggedError| json!({ "code": code, "text": text, "hours": hours, "ms": ms });
+            let entry = |error: &LoggedError| {
+                let LoggedError { code, text, hours, ms } = error;
+                json!({ "code": code, "text": text, "hours": hours, "ms": ms })
+            };
             let entries: Vec<_> = log.entries.iter().map(entry).collect();
             return program
                 .print(&json!({ "logged": log.logged, "occurred": log.occurred, "entries": entries }));

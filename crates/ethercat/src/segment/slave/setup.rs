@@ -227,7 +227,8 @@ impl Slave {
     }
 }
 
-/// The SyncManagers that were read, from the first one on, are as `wanted`, by this comparison of one with its wanted one.
+/// The SyncManagers that were read, from the first one on, are as `wanted`, by this comparison of one with its wanted
+/// one.
 pub(super) fn are_set(
     data: &[u8],
     mut wanted: impl Iterator<Item = (u16, SyncManager)>,
