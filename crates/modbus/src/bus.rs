@@ -112,7 +112,8 @@ impl ModbusBus {
         if !slot.due || station.passed || station.has_ended() {
             return result;
         }
-        if station.is_void() {
+        // On a connection that has just been opened nothing is built before the loop has seen what was found.
+        if station.is_void() && !station.to_send().is_empty() {
             station.prepare(cycle, slot);
         }
         let bytes = station.to_send();
