@@ -307,13 +307,17 @@ impl Shown {
 }
 
 impl Feedback {
+    /// Its status is older by so many cycles.
+    #[inline]
+    pub(crate) fn grow_older(&mut self, cycles: u64) {
+        self.age = self.age.saturating_add(u32::try_from(cycles).unwrap_or(u32::MAX));
+    }
+
     /// Ready for motion commands.
     pub fn is_operational(&self) -> bool {
         self.link == Link::Online && self.status.state == State::OperationEnabled
     }
-}
 
-impl Feedback {
     /// Publishes it. The values of monitored variables count only where their bits say so, and most drives have none;
     /// those that are not new stand there still. Hardly ever has another axis begun its stop.
     #[inline]

@@ -38,7 +38,7 @@ impl Observer {
 
     #[cold]
     fn aged(&self, mut feedback: Feedback, silence: u64) -> Feedback {
-        feedback.age = feedback.age.saturating_add(u32::try_from(silence).unwrap_or(u32::MAX));
+        feedback.grow_older(silence);
         if self.is_stuck() {
             feedback.link = Link::Lost;
             feedback.stopped = feedback.stopped.or(Some(StopCause::LoopStuck));

@@ -41,7 +41,7 @@ use crate::axis::cell::Writer;
 use crate::axis::newest::NewestOut;
 use crate::axis::{
     Abort, AxisPlan, Command, CommandId, Event, EventKind, Feedback, GroupCall, MONITOR_CHANNELS, Outcome,
-    QueuedCommand, Row, Setpoint, Shown, StopCause, StreamRow,
+    QueuedCommand, Row, Setpoint, StopCause, StreamRow,
 };
 use crate::bus::desired::Capabilities;
 use crate::bus::{Cycle, Slot};
@@ -90,14 +90,10 @@ pub struct DriveController {
     called: bool,
     /// Its exchange waits for its turn on a half-duplex wire.
     queued: bool,
-    /// The drive was found restarted in this cycle.
-    restarted: bool,
     /// Who stops with it, since the loop last checked.
     along: Along,
     /// Reports of a drive without power until an enable that did not end as done can no longer bring it on.
     rising: u8,
-    /// How the exchange of this cycle was closed.
-    closed: Option<Closed>,
     /// The given row has not been sent yet (its slot was passed over): it must not be replaced.
     row_waits: bool,
     /// The monitored variables of this cycle are there.
@@ -110,8 +106,6 @@ pub struct DriveController {
     health: LinkHealth,
     /// The slot of the grid that was evaluated last.
     grid: Time,
-    /// The slot of the values in the feedback.
-    fresh_at: u64,
     /// The largest times.
     peaks: Peaks,
     feedback: Feedback,
@@ -122,8 +116,6 @@ pub struct DriveController {
     row_seconds: f64,
     machine: Machine,
     queues: Queues,
-    /// The monitored variables of this cycle.
-    shown: Shown,
     plan: AxisPlan,
     /// When the running command began.
     began: Time,
@@ -149,18 +141,11 @@ pub struct DriveController {
     owner: Owner,
     /// The enable that waits for its end, and since when.
     held: Option<(CommandId, Time)>,
-    /// The drive was online at least once.
-    seen: bool,
     /// Times that the link was lost.
     losses: u64,
-    /// The orderly end has begun.
-    ends: bool,
+    ending: Ending,
     /// What was requested of the drive since its axis was stopped.
     requested: Requested,
-    /// Its link was up when the buses began to end.
-    answered: Option<bool>,
-    /// The wires were taken from the loop.
-    stuck: bool,
     /// So many exchanges were missed in this cycle, where some were of earlier ones.
     misses: u32,
     /// The monitored variables since the start.
@@ -188,13 +173,18 @@ enum Owner {
     Gone,
 }
 
-/// How an exchange ended.
+/// How far the end of the run is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Closed {
-    /// Answered.
-    Answered,
-    /// Missed, or not even sent.
-    Missed,
+enum Ending {
+    No,
+    /// The orderly end has begun.
+    Begun,
+    /// The buses end their links. Its own was up when they began, or not.
+    Links {
+        answers: bool,
+    },
+    /// The wires were taken from the loop.
+    Stuck,
 }
 
 impl DriveController {
@@ -219,10 +209,8 @@ impl DriveController {
             ages_at: u64::MAX,
             called: false,
             queued: false,
-            restarted: false,
             along: Along::Nobody,
             rising: 0,
-            closed: None,
             row_waits: false,
             shows: false,
             measured: Measured::default(),
@@ -230,7 +218,6 @@ impl DriveController {
             duty: Duty::new(),
             health,
             grid: Time(0),
-            fresh_at: 0,
             peaks: Peaks::default(),
             feedback: Feedback::default(),
             doubt,
@@ -239,7 +226,6 @@ impl DriveController {
             row_seconds,
             machine,
             queues,
-            shown: Shown::default(),
             plan,
             began: Time(0),
             task_command: None,
@@ -254,12 +240,9 @@ impl DriveController {
             commanded: false,
             owner: Owner::Here,
             held: None,
-            seen: false,
             losses: 0,
-            ends: false,
+            ending: Ending::No,
             requested: Requested::default(),
-            answered: None,
-            stuck: false,
             misses: 0,
             monitor: [None; MONITOR_CHANNELS],
         }
@@ -340,9 +323,9 @@ impl DriveController {
         std::mem::take(&mut self.misses).max(1).into()
     }
 
-    /// How the exchange of this cycle was closed, once.
-    pub fn take_closed(&mut self) -> Option<Closed> {
-        self.closed.take()
+    /// The result of the exchange of this cycle, until its record is published.
+    pub fn reply(&self) -> Reply {
+        self.measured.reply
     }
 
     /// Publishes the feedback; returns the telemetry record of this cycle, as that of axis `axis`.
@@ -369,8 +352,9 @@ impl DriveController {
     /// The monitored variables of this cycle for the telemetry, if the drive reported some; once.
     #[inline]
     pub fn take_shown(&mut self, axis: u16) -> Option<MonitorRecord> {
-        let shown = std::mem::take(&mut self.shows).then_some(self.shown)?;
-        Some(MonitorRecord { index: self.feedback.cycle, axis, shown })
+        let Feedback { cycle, status, .. } = &self.feedback;
+        let shown = std::mem::take(&mut self.shows).then(|| status.monitor.into())?;
+        Some(MonitorRecord { index: *cycle, axis, shown })
     }
 
     /// It has notes for the telemetry; asked before its record is built.

@@ -3,7 +3,7 @@
 //!
 //! The parts of all members are one entry in the queue of the first, so that the loop never sees some of them only.
 
-use super::controller::{Along, Closed, DriveController};
+use super::controller::{Along, DriveController};
 use crate::axis::{BegunBy, Setpoint, StopCause};
 use crate::bus::Cycle;
 use crate::time::Time;
@@ -106,7 +106,7 @@ impl GroupSync {
             (group.moving, group.closed, group.missed) = (0, 0, false);
         }
         for controller in controllers {
-            let closed = controller.take_closed();
+            let reply = controller.reply();
             let Some(call) = controller.moves_in_group() else { continue };
             let Some(group) = self.groups.get_mut(call.lead as usize) else { continue };
             let health = controller.plan().health;
@@ -114,8 +114,8 @@ impl GroupSync {
             group.bucket = if first { health.bucket } else { group.bucket.min(health.bucket) };
             group.leak = if first { health.leak } else { group.leak.max(health.leak) };
             group.moving += 1;
-            group.closed += u32::from(closed.is_some());
-            group.missed |= closed == Some(Closed::Missed);
+            group.closed += u32::from(reply.is_end());
+            group.missed |= reply.is_missed();
         }
         self.groups.iter_mut().for_each(GroupState::fill);
     }
@@ -142,12 +142,12 @@ pub fn take_group_stop(
     while let Some(ahead) = controllers[next..].iter().position(DriveController::takes_along) {
         let index = next + ahead;
         next = index + 1;
-        let along = controllers[index].take_along();
-        let (left, group) = (controllers[index].left_call(), controllers[index].plan().stop.group);
-        let cause = match along {
+        let group = controllers[index].plan().stop.group;
+        let cause = match controllers[index].take_along() {
             Along::Nobody => None,
             Along::All(cause) => Some(cause),
             Along::WhoGoesOn => {
+                let left = controllers[index].left_call();
                 let goes_on = left.is_some() && controllers.iter().any(|axis| axis.acts_in_group() == left);
                 if goes_on {
                     controllers[index].stop(cycle, now, StopCause::GroupFailed);

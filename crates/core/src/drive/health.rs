@@ -23,6 +23,8 @@ pub struct LinkHealth {
     link: Link,
     /// Each slot is one of its own.
     each_slot: bool,
+    /// It was up before.
+    was_up: bool,
     probes: Probes,
     /// Good exchanges since the last miss or leak.
     good: u32,
@@ -62,6 +64,7 @@ impl LinkHealth {
         LinkHealth {
             link: Link::Unseen,
             each_slot: divisor <= 1 && phase == 0,
+            was_up: false,
             probes,
             good: 0,
             good_at: 0,
@@ -154,7 +157,7 @@ impl LinkHealth {
             Link::Qualifying | Link::Online => {}
         }
         if self.link == Link::Qualifying && self.good >= self.gate {
-            self.link = Link::Online;
+            (self.link, self.was_up) = (Link::Online, true);
             self.level = 0;
             self.good = 0;
         } else if self.link == Link::Online && self.good >= self.leak {
@@ -164,12 +167,12 @@ impl LinkHealth {
     }
 
     /// An exchange was missed in slot `index`.
-    pub fn missed(&mut self, index: u64, seen_before: bool) {
+    pub fn missed(&mut self, index: u64) {
         self.good = 0;
         match self.link {
             Link::Unseen | Link::Lost => {}
             Link::Qualifying => {
-                self.link = if seen_before { Link::Lost } else { Link::Unseen };
+                self.link = if self.was_up { Link::Lost } else { Link::Unseen };
                 self.next_probe = self.again(index);
             }
             Link::Online => {
@@ -224,7 +227,7 @@ mod tests {
         }
 
         fn bad(&mut self, count: u32, index: u64) {
-            (0..count).for_each(|_| self.missed(index, true));
+            (0..count).for_each(|_| self.missed(index));
         }
 
         /// The slots in which an exchange is due; each of them leaves, or none does.
@@ -285,7 +288,7 @@ mod tests {
         let mut health = up(bucket, leak);
         (1..=many).find(|exchange| {
             match missed(*exchange) {
-                true => health.missed(0, true),
+                true => health.missed(0),
                 false => health.answered(0),
             }
             health.link() == Link::Lost
@@ -373,7 +376,7 @@ mod tests {
             health.watch_silence(index);
             assert_eq!(health.link(), Link::Online, "{index}");
         }
-        health.missed(121, true);
+        health.missed(121);
         health.watch_silence(121);
         assert_eq!(health.link(), Link::Lost);
         assert!(health.is_due(122), "the stop request leaves with the next slot");
@@ -406,7 +409,7 @@ mod tests {
         assert_eq!(health.link(), Link::Lost);
         assert_eq!(health.due(10..16, true), [10, 11, 13, 15], "the stop leaves with the very next slot");
         health.answered(15);
-        health.missed(17, true);
+        health.missed(17);
         assert_eq!((health.link(), health.due(18..24, true)), (Link::Lost, vec![19, 21, 23]), "lost again");
         // What does not leave is tried once an interval.
         health.requested(23, false);

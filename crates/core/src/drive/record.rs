@@ -45,6 +45,16 @@ impl Reply {
         Reply::Current,
         Reply::Queued,
     ];
+
+    /// The exchange was missed, or not even sent.
+    pub(super) fn is_missed(self) -> bool {
+        matches!(self, Reply::Missed | Reply::Unsent)
+    }
+
+    /// The exchange has ended.
+    pub(super) fn is_end(self) -> bool {
+        !matches!(self, Reply::None | Reply::Owed | Reply::Queued)
+    }
 }
 
 /// One drive in an executed cycle, as it was published.

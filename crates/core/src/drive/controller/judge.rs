@@ -2,8 +2,8 @@
 
 use super::duty::Claim;
 use super::watch::Braked;
-use super::{Along, Closed, DriveController, acts};
-use crate::axis::{DriveStatus, EventKind, Link, State, StopCause};
+use super::{Along, DriveController, Ending, acts};
+use crate::axis::{DriveStatus, EventKind, Link, Shown, State, StopCause};
 use crate::bus::contract::Ended;
 use crate::bus::{Cycle, Exchange, Slot};
 use crate::drive::bounds::Sample;
@@ -68,7 +68,7 @@ impl DriveController {
         if self.queued {
             self.sent_meanwhile(cycle, slot);
         }
-        (self.closed, self.grid) = (None, cycle.grid);
+        self.grid = cycle.grid;
         self.measured.was_online = self.feedback.link == Link::Online;
         let jumped = if slot.notices.fresh { self.weigh(slot) } else { None };
         let mut rtt = None;
@@ -76,7 +76,6 @@ impl DriveController {
         // The usual end of an exchange, in a cycle that has one.
         let reply = if let Exchange::Answered { sent_at, at, suspect: false } = slot.exchange {
             slot.exchange = Exchange::Idle;
-            self.closed = Some(Closed::Answered);
             self.health.answered(cycle.index);
             let rtt_ns = at.since(sent_at);
             self.peaks.rtt.see(rtt_ns, cycle.index);
@@ -91,7 +90,6 @@ impl DriveController {
         {
             slot.counters.answered += 1;
             slot.exchange = Exchange::Idle;
-            self.closed = Some(Closed::Answered);
             self.health.answered(cycle.index);
             self.take_packet(slot);
             Reply::Current
@@ -140,7 +138,6 @@ impl DriveController {
         (0..missed).for_each(|_| self.missed(cycle, now));
         if answered > 0 {
             (0..answered).for_each(|_| self.health.answered(cycle.index));
-            self.closed = self.closed.or(Some(Closed::Answered));
             self.peaks.rtt.see(rtt_ns, cycle.index);
             self.measured.rtt_ns = measured(rtt_ns);
         }
@@ -165,10 +162,7 @@ impl DriveController {
             *rtt = rtt.or(Some(short(rtt_ns)));
         }
         match reply {
-            _ if missed > 0 => {
-                self.closed = Some(Closed::Missed);
-                Reply::Missed
-            }
+            _ if missed > 0 => Reply::Missed,
             Reply::None | Reply::Owed if answered > 0 => Reply::Answered,
             _ => reply,
         }
@@ -177,9 +171,7 @@ impl DriveController {
     /// The newest report is that of a request of an earlier cycle.
     #[cold]
     fn grow_older(&mut self, cycle: &Cycle, sent_at: Time) {
-        let age = cycle.grid.since(sent_at).div_ceil(cycle.period_ns.max(1)).min(self.fresh_at);
-        self.fresh_at -= age;
-        self.feedback.age = self.feedback.age.saturating_add(u32::try_from(age).unwrap_or(u32::MAX));
+        self.feedback.grow_older(cycle.grid.since(sent_at).div_ceil(cycle.period_ns.max(1)).min(cycle.index));
     }
 
     /// No exchange was answered for certain. The report was `taken` with an earlier one.
@@ -203,14 +195,13 @@ impl DriveController {
             Exchange::Unsent => {
                 slot.exchange = Exchange::Idle;
                 // A link that its bus shuts down at the orderly end is not lost.
-                if !(self.ends && slot.expected_silence) {
+                if !(self.ending != Ending::No && slot.expected_silence) {
                     self.missed(cycle, now);
                 }
                 Reply::Unsent
             }
             Exchange::Answered { .. } => {
                 slot.exchange = Exchange::Idle;
-                self.closed = Some(Closed::Answered);
                 self.health.answered_in_doubt(cycle.index);
                 Reply::Suspect
             }
@@ -236,8 +227,7 @@ impl DriveController {
     }
 
     fn missed(&mut self, cycle: &Cycle, now: Time) {
-        self.closed = Some(Closed::Missed);
-        self.health.missed(cycle.index, self.seen);
+        self.health.missed(cycle.index);
         if self.moves_in_group().is_some() {
             self.emit(cycle, now, EventKind::MissedInGroup);
         }
@@ -247,13 +237,12 @@ impl DriveController {
     #[inline]
     fn take_status(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot, rtt: Option<u32>) {
         let Slot { status, notices, .. } = slot;
+        let passed = cycle.index.saturating_sub(self.feedback.cycle);
         self.feedback.cycle = cycle.index;
         if !notices.fresh {
-            let age = cycle.index.saturating_sub(self.fresh_at);
-            self.feedback.age = u32::try_from(age).unwrap_or(u32::MAX);
+            self.feedback.grow_older(passed);
             return self.take_emergency(cycle, now, slot);
         }
-        self.fresh_at = cycle.index - u64::from(status.suspect).min(cycle.index);
         if self.rising > 0 {
             self.fall(status);
         }
@@ -296,8 +285,7 @@ impl DriveController {
     #[inline(never)]
     fn take_monitored(&mut self) {
         let monitor = self.feedback.status.monitor;
-        self.shown = monitor.into();
-        self.shows = !self.shown.is_empty();
+        self.shows = !Shown::from(monitor).is_empty();
         for (extent, value) in self.monitor.iter_mut().zip(monitor) {
             if let Some(value) = value.filter(|value| !value.is_nan()) {
                 Extent::see(extent, value);
@@ -311,8 +299,7 @@ impl DriveController {
         if let Some((channel, status)) = slot.notices.monitor_refused.take() {
             self.emit(cycle, now, EventKind::MonitorRefused { channel, status });
         }
-        if std::mem::take(&mut slot.notices.restarted) {
-            self.restarted = true;
+        if slot.notices.restarted {
             self.emit(cycle, now, EventKind::Restarted);
         }
         self.take_emergency(cycle, now, slot);
@@ -366,7 +353,6 @@ impl DriveController {
                 }
             }
             Link::Online => {
-                self.seen = true;
                 let running = self.feedback.status.state.is_powered() || self.feedback.status.moving;
                 if running && self.duty.claim() != Claim::Armed && !slot.notices.other_master {
                     self.find_running(cycle, now, Braked::BySetpoints);

@@ -1,7 +1,7 @@
 //! The watch over an axis, and its stops: latched with their cause, braked, and begun again if it moves all the same.
 
 use super::duty::{Claim, Latch};
-use super::{Along, DriveController};
+use super::{Along, DriveController, Ending};
 use crate::axis::command::NativeOwner;
 use crate::axis::{
     Abort, BegunBy, Command, EventKind, FollowingError, FoundRunning, GroupCall, Link, Outcome,
@@ -32,7 +32,7 @@ impl DriveController {
     /// Watches an axis that has power, and runs one cycle of its stop sequence.
     #[inline]
     pub(super) fn watch(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) {
-        let restarted = std::mem::take(&mut self.restarted);
+        let restarted = slot.notices.fresh && std::mem::take(&mut slot.notices.restarted);
         self.called |= self.machine.observe(cycle.grid, restarted, slot);
         // First: what follows from another master must not be named in its place.
         if std::mem::take(&mut slot.notices.other_master) {
@@ -348,7 +348,9 @@ impl DriveController {
     /// The orderly end of the master: every axis is stopped and powered off, and nothing new begins. True once it
     /// is complete.
     pub fn shut_down(&mut self, cycle: &Cycle, now: Time, hurry: bool) -> bool {
-        self.ends = true;
+        if self.ending == Ending::No {
+            self.ending = Ending::Begun;
+        }
         self.stop(cycle, now, StopCause::Shutdown);
         self.flush(cycle, now, Abort::Stopped(StopCause::Shutdown));
         if matches!(self.duty.latch(), Latch::Kept(_)) && self.duty.claim() != Claim::Found {
@@ -369,12 +371,12 @@ impl DriveController {
 impl DriveController {
     /// The buses begin to end their links.
     pub fn note_end(&mut self) {
-        self.answered = Some(self.answers());
+        self.ending = Ending::Links { answers: self.answers() };
     }
 
     /// Nothing was requested of the drive since the wires were taken from the loop, and no report is from then.
     pub fn note_stuck(&mut self) {
-        (self.stuck, self.answered, self.requested) = (true, Some(false), Requested::default());
+        (self.ending, self.requested) = (Ending::Stuck, Requested::default());
     }
 
     /// How the drive is left, once the loop has ended.
@@ -385,12 +387,16 @@ impl DriveController {
         };
         let known = Known {
             standstill: self.plan.stop.standstill,
-            answers: self.answered.unwrap_or_else(|| self.answers()),
+            answers: match self.ending {
+                Ending::No | Ending::Begun => self.answers(),
+                Ending::Links { answers } => answers,
+                Ending::Stuck => false,
+            },
             ours: self.duty.claim() != Claim::Found,
             may_rise: self.rising > 0 && !seen_off,
             holds,
             requested: self.requested,
-            stuck: self.stuck,
+            stuck: self.ending == Ending::Stuck,
         };
         AtEnd::of(known, &self.feedback)
     }
