@@ -38,12 +38,19 @@ pub struct Trajectory {
     count: usize,
 }
 
+/// Stands still at 0.
+impl Default for Trajectory {
+    fn default() -> Trajectory {
+        Trajectory::on(Point::default())
+    }
+}
+
 impl Trajectory {
     /// Continues from a point at its velocity; stands still if that is 0.
     pub fn on(from: Point) -> Trajectory {
         let mut plan = Plan::from(from);
         plan.push(0.0);
-        plan.made()
+        plan.motion
     }
 
     /// From a point to a velocity with this acceleration, up or down, then constant.
@@ -88,7 +95,7 @@ impl Trajectory {
         }
         plan.at = Point { position: target, velocity: 0.0 };
         plan.push(0.0);
-        plan.made()
+        plan.motion
     }
 
     /// The point so many ns after the begin.
@@ -139,15 +146,15 @@ fn seconds(ns: u64) -> f64 {
 /// A motion while it is laid out.
 #[derive(Debug)]
 struct Plan {
-    segments: [Segment; SEGMENTS],
-    count: usize,
+    motion: Trajectory,
     end_s: f64,
     at: Point,
 }
 
 impl Plan {
     fn from(at: Point) -> Plan {
-        Plan { segments: [Segment::default(); SEGMENTS], count: 0, end_s: 0.0, at }
+        let motion = Trajectory { segments: [Segment::default(); SEGMENTS], count: 0 };
+        Plan { motion, end_s: 0.0, at }
     }
 
     /// Speeds up towards the target, cruises, and brakes there.
@@ -188,14 +195,11 @@ impl Plan {
     }
 
     fn push(&mut self, acceleration: f64) {
-        if let Some(segment) = self.segments.get_mut(self.count) {
+        let Trajectory { segments, count } = &mut self.motion;
+        if let Some(segment) = segments.get_mut(*count) {
             *segment = Segment { begin_s: self.end_s, from: self.at, acceleration };
-            self.count += 1;
+            *count += 1;
         }
-    }
-
-    fn made(self) -> Trajectory {
-        Trajectory { segments: self.segments, count: self.count }
     }
 }
 

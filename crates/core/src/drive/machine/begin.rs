@@ -72,11 +72,6 @@ impl State {
         }
     }
 
-    pub(super) fn fall(&mut self, since: Time) -> End {
-        self.begin_step(since, Step::Falling);
-        None
-    }
-
     pub(super) fn begin_enable(&mut self, since: Time, view: &View) -> End {
         let (evidence, state) = (view.evidence, view.status.state);
         if evidence.fault.active && evidence.fault.named {
@@ -109,8 +104,7 @@ impl State {
             Cia402::SwitchedOn if on => self.set(Power::SwitchOn),
             _ => self.set(Power::Shutdown),
         }
-        self.begin_step(since, Step::Enabling { rest });
-        None
+        self.begin_step(since, Step::Enabling { rest })
     }
 
     /// In operation, without a motion.
@@ -126,11 +120,10 @@ impl State {
         self.wind_down(view);
         if view.drive_makes_setpoints() {
             self.want_motion(Motion::Home);
-            self.begin_step(since, Step::Homing);
+            self.begin_step(since, Step::Homing)
         } else {
-            self.begin_step(since, Step::HomeWaiting);
+            self.begin_step(since, Step::HomeWaiting)
         }
-        None
     }
 
     pub(super) fn begin_stop(&mut self, command: Command, view: &View) -> End {
@@ -139,32 +132,29 @@ impl State {
             && view.evidence.follows == Follows::NotYet
             && self.power.value == Power::EnableOperation
         {
-            self.begin_step(now, Step::TakingOver(command));
-            return None;
+            return self.begin_step(now, Step::TakingOver(command));
         }
         match self.step {
             // Powering up: it does not go on by itself. One that was in operation before is stopped like any other.
             Step::Enabling { rest } if rest != Power::EnableOperation || !self.runs(view) => {
                 self.set(fallen_back(rest));
-                return self.fall(now);
+                return self.begin_step(now, Step::Falling);
             }
             // A stop that is under way is not made softer.
             Step::Halting | Step::Released if self.motion.value == Motion::Halt => {
-                self.halt(view);
-                return None;
+                return self.halt(view);
             }
             // It may go on reporting that it is in operation for as long as its replies are lost.
-            _ if self.was_switched_off() => return self.fall(now),
+            _ if self.was_switched_off() => return self.begin_step(now, Step::Falling),
             _ if self.power.value != Power::EnableOperation || !self.can_brake(view) => {
                 // There is nothing to brake with: power stays as it is, and does not come on any more.
                 let on = self.power.value == Power::EnableOperation;
                 self.set(if on { as_found(view.status.state) } else { self.power.value });
-                return self.fall(now);
+                return self.begin_step(now, Step::Falling);
             }
             // Only while it is halted does it stand.
             Step::Idle | Step::Halted if self.motion.value == Motion::Halt => {
-                self.begin_step(now, Step::Halted);
-                return None;
+                return self.begin_step(now, Step::Halted);
             }
             _ => {
                 if let Command::Stop { deceleration } = command
@@ -174,13 +164,11 @@ impl State {
                     && self.motion.value != Motion::Halt
                 {
                     self.brake(deceleration.unwrap_or(view.rules.profile.deceleration), view);
-                    self.begin_step(now, Step::Stopping);
-                    return None;
+                    return self.begin_step(now, Step::Stopping);
                 }
             }
         }
-        self.halt(view);
-        None
+        self.halt(view)
     }
 
     /// The drive may be in motion with its power on: a report that may be an older one does not deny it.
@@ -189,13 +177,13 @@ impl State {
     }
 
     /// As fast as the drive is configured for it, with its power on.
-    pub(super) fn halt(&mut self, view: &View) {
+    pub(super) fn halt(&mut self, view: &View) -> End {
         let limits = &view.rules.limits;
         let own = view.rules.profile.deceleration;
         let most = limits.acceleration.unwrap_or(own).max(own);
         self.want_motion(Motion::Halt);
         self.course.halt(most, view);
-        self.begin_step(view.now, Step::Halting);
+        self.begin_step(view.now, Step::Halting)
     }
 
     pub(super) fn begin_reset(&mut self, since: Time, view: &View) -> End {
@@ -203,8 +191,7 @@ impl State {
         if view.status.state == Cia402::Fault {
             self.set(Power::Off);
         }
-        self.begin_step(since, Step::ResetWaiting);
-        None
+        self.begin_step(since, Step::ResetWaiting)
     }
 
     pub(super) fn begin_native(&mut self, owner: NativeOwner, view: &View) -> End {
@@ -215,8 +202,7 @@ impl State {
         if owner == NativeOwner::Application {
             self.want_mode(Mode::AsIs);
         }
-        self.begin_step(view.now, Step::Native(owner));
-        None
+        self.begin_step(view.now, Step::Native(owner))
     }
 
     /// The new motion replaces a halt.

@@ -79,7 +79,7 @@ enum Start {
 }
 
 /// The state of a drive as the master wants it, and how far it is on its way there.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 #[repr(C, align(64))]
 struct State {
     /// Sends since the step began.
@@ -104,8 +104,9 @@ struct State {
 }
 
 /// The step of a command.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 enum Step {
+    #[default]
     Idle,
     /// From state to state into operation, each seen; it falls back to this. `EnableOperation`: it was in operation.
     Enabling {
@@ -176,21 +177,7 @@ impl Machine {
     /// A machine for the drive of `axis`, in a cycle of `period_ns`.
     pub fn new(axis: &AxisPlan, can: Capabilities, period_ns: u64) -> Machine {
         let rules = Rules::new(axis, can, period_ns);
-        let state = State {
-            sent: 0,
-            agree: 0,
-            is_new: true,
-            has_course: rules.quantity.is_some(),
-            step: Step::Idle,
-            course: Course::default(),
-            since: Time(0),
-            power: Intent::default(),
-            mode: Intent::default(),
-            motion: Intent::default(),
-            serial: 0,
-            row: 0,
-            setpoint: Setpoint::default(),
-        };
+        let state = State { is_new: true, has_course: rules.quantity.is_some(), ..State::default() };
         Machine {
             waiting: None,
             input: Input::default(),
@@ -351,6 +338,12 @@ fn near(units: &Units, from: f64, position: f64) -> f64 {
 }
 
 impl Rules {
+    /// Of a motion that would leave the position limits, or has to end at one: at this place.
+    pub fn out_of_limits(&self, value: f64) -> Failure {
+        let (low, high) = self.limits.position.unwrap_or((value, value));
+        Failure::Limit { what: "position", value, low, high }
+    }
+
     /// The requested deceleration, or the one needed to stop within the limits `lost` units behind this point: the
     /// deceleration of a motion that replaces a fast one may be too weak for the remaining way. Never more than the
     /// limit of acceleration, or than the axis' own profile if there is no limit.
@@ -437,7 +430,7 @@ impl State {
             Command::Enable => self.begin_enable(since, view),
             Command::Disable => {
                 self.set(Power::Off);
-                self.fall(since)
+                self.begin_step(since, Step::Falling)
             }
             Command::Home => self.begin_home(since, view),
             Command::Stop { .. } | Command::QuickStop => self.begin_stop(command, view),
@@ -469,8 +462,7 @@ impl State {
         }
         self.course.go_to(target, &motion.profile, view);
         self.follow_course();
-        self.begin_step(view.now, Step::Moving(target));
-        None
+        self.begin_step(view.now, Step::Moving(target))
     }
 
     fn begin_velocity(&mut self, acceleration: f64, view: &View) -> End {
@@ -534,15 +526,16 @@ impl State {
         self.motion = Intent { serial: self.next_serial(), value: Motion::Hold };
     }
 
-    /// Its time goes on.
-    fn enter(&mut self, step: Step) {
+    /// The next step of the command, which is under way. Its time goes on.
+    fn enter(&mut self, step: Step) -> End {
         (self.step, self.agree, self.sent) = (step, 0, 0);
+        None
     }
 
-    /// Its time begins.
-    fn begin_step(&mut self, now: Time, step: Step) {
+    /// The same, and its time begins.
+    fn begin_step(&mut self, now: Time, step: Step) -> End {
         self.since = now;
-        self.enter(step);
+        self.enter(step)
     }
 
     /// The command is over, and so is its motion: what the drive does from now on is no part of it.

@@ -63,8 +63,7 @@ impl State {
             return self.refuse(range.into(), view);
         }
         self.want_motion(Motion::Move { position, profile });
-        self.begin_step(view.now, step);
-        None
+        self.begin_step(view.now, step)
     }
 
     /// Positions on the wire are counted from here: the count of a rotary axis wraps around, in the drive as in the
@@ -109,8 +108,7 @@ impl State {
         }
         if rolling.at_limit {
             if settled {
-                let (low, high) = view.rules.limits.position.unwrap_or((rolling.target, rolling.target));
-                return self.fail(Failure::Limit { what: "position", value: rolling.target, low, high });
+                return self.fail(view.rules.out_of_limits(rolling.target));
             }
         } else if rolling.velocity != 0.0 && !rolling.goes_on(view.input.level, view.evidence.demand) {
             return self.roll_on(rolling, view);
@@ -123,8 +121,7 @@ impl State {
         rolling.at_limit = false;
         if rolling.velocity == 0.0 {
             self.brake_by_drive(rolling.acceleration, view);
-            self.begin_step(view.now, Step::Rolling(rolling));
-            return None;
+            return self.begin_step(view.now, Step::Rolling(rolling));
         }
         // Half of the leash is always ahead; the axis must be able to brake within it, or it would never reach that
         // speed.
@@ -141,8 +138,7 @@ impl State {
             let (ahead, beyond) =
                 if forward { (high, rolling.target > high) } else { (low, rolling.target < low) };
             if beyond && (ahead - demand) * rolling.velocity <= 0.0 {
-                return self
-                    .refuse(Failure::Limit { what: "position", value: rolling.target, low, high }, view);
+                return self.refuse(view.rules.out_of_limits(rolling.target), view);
             }
             rolling.at_limit = beyond;
             rolling.target = if beyond { ahead } else { rolling.target };
@@ -162,21 +158,16 @@ impl State {
         let Jogging { velocity, acceleration, .. } = jogging;
         if velocity == 0.0 {
             self.brake_by_drive(acceleration, view);
-            self.begin_step(view.now, Step::Jogging(jogging));
-            return None;
+            return self.begin_step(view.now, Step::Jogging(jogging));
         }
         if let Err(range) = view.rules.can.ranges.check_velocity(velocity.abs(), acceleration) {
             return self.refuse(range.into(), view);
         }
-        if let Some((low, high)) = view.rules.limits.position.filter(|_| view.status.homed)
-            && self.is_limit_near(velocity, acceleration, view)
-        {
-            let value = view.evidence.demand;
-            return self.refuse(Failure::Limit { what: "position", value, low, high }, view);
+        if view.status.homed && self.is_limit_near(velocity, acceleration, view) {
+            return self.refuse(view.rules.out_of_limits(view.evidence.demand), view);
         }
         self.want_motion(Motion::Velocity { velocity, acceleration });
-        self.begin_step(view.now, Step::Jogging(jogging));
-        None
+        self.begin_step(view.now, Step::Jogging(jogging))
     }
 
     /// With each report: the newest velocity once the one before was accepted, and no limit is passed.
@@ -188,8 +179,7 @@ impl State {
         if velocity != 0.0 && view.status.homed && self.is_limit_near(present, acceleration, view) {
             let (low, high) = view.rules.limits.position.unwrap_or_default();
             self.brake_by_drive(acceleration, view);
-            self.begin_step(view.now, Step::Limited(if present > 0.0 { high } else { low }));
-            return None;
+            return self.begin_step(view.now, Step::Limited(if present > 0.0 { high } else { low }));
         }
         if !self.is_accepted(view) {
             return None;
@@ -225,15 +215,18 @@ impl State {
         if let Err(range) = view.rules.can.ranges.check_row(row.position - self.origin(view), &row) {
             return self.refuse(range.into(), view);
         }
-        self.row = next.number;
         self.stream(row);
-        if next.row.last {
-            let (newest, stood_at) = (self.setpoint.row - 1, view.evidence.demand);
-            self.enter(Step::FollowEnding { taken: 0, all: 0, newest, stood_at, last: row });
-        } else if self.step != Step::Following {
-            self.enter(Step::Following);
-        }
-        None
+        self.take_row(next.number, row, self.setpoint.row - 1, view.evidence.demand)
+    }
+
+    /// The next send carries the application's row of this number. If it is the last one: the drive has accepted
+    /// `newest`, and its demand is at `stood_at`.
+    pub(super) fn take_row(&mut self, number: u64, row: Row, newest: u64, stood_at: f64) -> End {
+        self.row = number;
+        self.enter(match row.last {
+            true => Step::FollowEnding { taken: 0, all: 0, newest, stood_at, last: row },
+            false => Step::Following,
+        })
     }
 
     fn stream(&mut self, row: Row) {
@@ -249,13 +242,11 @@ impl State {
                 let arrived = (view.evidence.demand - last.position).abs() <= view.rules.can.arrival;
                 if taken > LAST_ROWS && arrived || taken > MOST_LAST_ROWS || all > MOST_BEHIND {
                     self.want_motion(Motion::EndStream);
-                    self.begin_step(view.now, Step::Moving(last.position));
-                    return None;
+                    return self.begin_step(view.now, Step::Moving(last.position));
                 }
                 // The last row was in range, so is this one.
                 self.stream(Row { velocity: 0.0, acceleration: 0.0, ..last });
-                self.enter(ending);
-                None
+                self.enter(ending)
             }
             _ => None,
         }

@@ -25,7 +25,7 @@ const RELEASE_S: f64 = 0.1;
 const AHEAD: f64 = 3.0;
 
 /// The setpoint over time.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[repr(C)]
 pub(super) struct Course {
     /// The setpoint follows `motion`; otherwise it is neutral.
@@ -55,23 +55,6 @@ pub(super) struct Turning {
     velocity: f64,
     /// The position limit in its direction.
     limit: Option<f64>,
-}
-
-impl Default for Course {
-    fn default() -> Course {
-        Course {
-            leads: false,
-            away: false,
-            is_constant: false,
-            level: 0.0,
-            passed_ns: 0,
-            demand: Point::default(),
-            next_ns: 0,
-            next: Point::default(),
-            sent_at: None,
-            motion: Trajectory::on(Point::default()),
-        }
-    }
 }
 
 impl Course {
@@ -289,7 +272,7 @@ impl State {
         let limit = if velocity > 0.0 { high } else { low };
         let position = self.course.demand.position;
         if (limit - position) * velocity <= 0.0 {
-            return self.refuse(Failure::Limit { what: "position", value: position, low, high }, view);
+            return self.refuse(view.rules.out_of_limits(position), view);
         }
         self.course.plan(Trajectory::go_to(self.course.demand, limit, velocity.abs(), up, braking));
         self.step = Step::Turning(Turning { velocity, limit: Some(limit), ..turning });
@@ -303,10 +286,9 @@ impl State {
             (Some(Quantity::Position), Some(limit)) if self.course.stands() => {
                 self.enter(Step::Limited(limit))
             }
-            (Some(Quantity::Velocity), _) => return self.watch_velocity(turning, view),
-            _ => {}
+            (Some(Quantity::Velocity), _) => self.watch_velocity(turning, view),
+            _ => None,
         }
-        None
     }
 
     /// The same where only velocities are commanded: by the position of the axis, once it is known.
@@ -325,11 +307,10 @@ impl State {
             return None;
         }
         if from.velocity == 0.0 {
-            return self.refuse(Failure::Limit { what: "position", value: position, low, high }, view);
+            return self.refuse(view.rules.out_of_limits(position), view);
         }
         self.course.plan(Trajectory::run(Point { position, ..from }, 0.0, turning.acceleration));
-        self.enter(Step::Limited(limit));
-        None
+        self.enter(Step::Limited(limit))
     }
 
     /// One row a send. A row that came before, in a slot that was passed over, is not counted twice.
@@ -352,13 +333,7 @@ impl State {
         }
         let velocity = (position - from) * 1e9 / view.rules.interval_ns.max(1) as f64;
         (self.course.next, self.course.next_ns) = (Point { position, velocity }, 0);
-        (self.row, self.setpoint.row) = (next.number, self.next_serial());
-        if next.row.last {
-            let last = Row { position, ..next.row };
-            self.enter(Step::FollowEnding { taken: 0, all: 0, newest: 0, stood_at: position, last });
-        } else if self.step != Step::Following {
-            self.enter(Step::Following);
-        }
-        None
+        self.setpoint.row = self.next_serial();
+        self.take_row(next.number, Row { position, ..next.row }, 0, position)
     }
 }

@@ -215,23 +215,16 @@ impl State {
             }
             Step::FollowEnding { last, .. } if has_it => {
                 self.hold(self.course.demand_position());
-                self.begin_step(view.now, Step::Arriving { target: last.position, stood: 0 });
-                return None;
+                return self.begin_step(view.now, Step::Arriving { target: last.position, stood: 0 });
             }
             _ => {}
         }
         // Each report counts once.
         let settled = self.agrees(has_it && !view.status.moving, view.rules.can.still_reports, view);
         match self.step {
-            Step::Stopping if self.is_free(view) && self.course.stands() => {
-                self.halt(view);
-                None
-            }
+            Step::Stopping if self.is_free(view) && self.course.stands() => self.halt(view),
             Step::Stopping if settled => self.done(),
-            Step::Limited(limit) if settled => {
-                let (low, high) = view.rules.limits.position.unwrap_or((limit, limit));
-                self.fail(Failure::Limit { what: "position", value: limit, low, high })
-            }
+            Step::Limited(limit) if settled => self.fail(view.rules.out_of_limits(limit)),
             Step::Rolling(rolling) => self.roll(rolling, settled, view),
             Step::Jogging(jogging) => self.jog(jogging, settled, view),
             _ => None,
@@ -243,8 +236,7 @@ impl State {
     fn arrive(&mut self, target: f64, stood: u8, has_it: bool, view: &View) -> End {
         let stands = has_it && !view.status.moving;
         if !stands && demand_goes_on(target, view) {
-            self.enter(Step::Moving(target));
-            return None;
+            return self.enter(Step::Moving(target));
         }
         let (can, wanted) = (&view.rules.can, &view.rules.in_position);
         let stood = if stands { stood.saturating_add(1) } else { 0 };
@@ -294,8 +286,7 @@ impl State {
             _ if !view.fresh => None,
             _ if !view.operates() || view.evidence.fault.active => {
                 self.set(Power::Off);
-                self.begin_step(view.now, Step::Falling);
-                None
+                self.begin_step(view.now, Step::Falling)
             }
             Follows::Yes => self.begin_stop(command, view),
             Follows::NotYet => None,
@@ -327,8 +318,7 @@ impl State {
                 if free {
                     return self.done();
                 }
-                self.begin_step(view.now, Step::Released);
-                None
+                self.begin_step(view.now, Step::Released)
             }
             Step::Released if report.sto_open => self.give_up(Failure::StoOpen, view),
             Step::Released if report.state != Cia402::OperationEnabled => None,
@@ -340,8 +330,7 @@ impl State {
             }
             Step::Released if report.moving && view.drive_makes_setpoints() && view.evidence.ready => {
                 self.brake(view.rules.profile.deceleration, view);
-                self.begin_step(view.now, Step::Stopping);
-                None
+                self.begin_step(view.now, Step::Stopping)
             }
             Step::Released if settled && !self.stands_too_short(view) => self.done(),
             Step::Halted if still || !report.state.is_powered() => {
@@ -467,7 +456,9 @@ impl State {
                     self.begin_step(view.now, Step::ResetHigh);
                 }
                 // However long it took to get there: its report is the first one behind the edge.
-                (Step::ResetHigh, true) => self.begin_step(view.now, Step::Resetting),
+                (Step::ResetHigh, true) => {
+                    self.begin_step(view.now, Step::Resetting);
+                }
                 (Step::ResetHigh | Step::Resetting, false) => {
                     self.set(Power::Off);
                     self.enter(Step::ResetDone);
