@@ -367,7 +367,22 @@ fn reports(fault: Fault<'_>) -> String {
 impl Command {
     /// It acts at once and aborts everything before it.
     pub fn is_urgent(&self) -> bool {
-        matches!(self, Command::Disable | Command::Stop { .. } | Command::QuickStop)
+        self.is_stop() || matches!(self, Command::Disable)
+    }
+
+    /// It stops the axis, which keeps its power.
+    pub(crate) fn is_stop(&self) -> bool {
+        matches!(self, Command::Stop { .. } | Command::QuickStop)
+    }
+
+    /// It moves the axis: a motion, or homing.
+    pub(crate) fn moves(&self) -> bool {
+        self.is_motion() || matches!(self, Command::Home)
+    }
+
+    /// It moves the axis, or makes it ready to be moved.
+    pub(crate) fn acts(&self) -> bool {
+        self.moves() || matches!(self, Command::Enable)
     }
 
     /// It is a motion: it may replace a running motion.

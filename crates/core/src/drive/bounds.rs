@@ -109,14 +109,16 @@ impl Bounds {
             following: plan.most_following_error(behind_ns).unwrap_or(f64::INFINITY),
             behind_s: behind_ns as f64 * 1e-9,
         };
+        Bounds::of(rules)
+    }
+
+    fn of(rules: Rules) -> Bounds {
         Bounds { last: None, velocity: 0.0, broken: 0, forward: false, fresh: false, strayed: 0, rules }
     }
 
     /// What was reported so far says nothing any more.
     pub(super) fn forget(&mut self) {
-        let rules = self.rules;
-        *self =
-            Bounds { last: None, velocity: 0.0, broken: 0, forward: false, fresh: false, strayed: 0, rules };
+        *self = Bounds::of(self.rules);
     }
 
     /// A report came in.

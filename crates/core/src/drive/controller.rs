@@ -35,7 +35,7 @@ use super::journal::{Journal, Note};
 use super::machine::Machine;
 use super::numbers::{DriveNumbers, Extent, Peaks};
 use super::reach::Reach;
-use super::record::{CommandStep, DriveRecord, Measured, MonitorRecord, Published, Reply};
+use super::record::{CommandStep, DriveRecord, Measured, MonitorRecord, Reply};
 use super::rest::Rest;
 use crate::axis::cell::Writer;
 use crate::axis::newest::NewestOut;
@@ -300,16 +300,12 @@ impl DriveController {
 
     /// The group of its running motion.
     pub fn moves_in_group(&self) -> Option<GroupCall> {
-        self.acts_in_group().filter(|_| !self.is_enabling())
+        self.acts_in_group().filter(|_| self.duty.command() != Some(&Command::Enable))
     }
 
     /// The group of its running motion, or of the enable before it.
     pub fn acts_in_group(&self) -> Option<GroupCall> {
-        self.duty.active().filter(|active| acts(&active.command)).and_then(|active| active.call)
-    }
-
-    fn is_enabling(&self) -> bool {
-        self.duty.active().is_some_and(|active| matches!(active.command, Command::Enable))
+        self.duty.active().filter(|active| active.command.acts()).and_then(|active| active.call)
     }
 
     /// Something is to be looked at with the next commands.
@@ -337,10 +333,8 @@ impl DriveController {
         {
             self.queues.lost += 1;
         }
-        let Feedback { cycle, link, stopped, ref status, .. } = self.feedback;
         let command = self.duty.follows().command;
-        let of = Published { index: cycle, axis, link, stopped, command };
-        DriveRecord::new(of, std::mem::take(&mut self.measured), status)
+        DriveRecord::new(axis, command, std::mem::take(&mut self.measured), &self.feedback)
     }
 
     /// The drive has reported monitored variables in this cycle.
@@ -419,7 +413,7 @@ impl DriveController {
 
     /// The running command ends before it is done: the other members of its group must not go on without it.
     fn leave(&mut self, queued: &QueuedCommand) {
-        if queued.call.is_some() && acts(&queued.command) && self.along == Along::Nobody {
+        if queued.call.is_some() && queued.command.acts() && self.along == Along::Nobody {
             (self.left, self.along) = (queued.call, Along::WhoGoesOn);
         }
     }
@@ -442,11 +436,6 @@ impl DriveController {
             self.queues.lost += 1;
         }
     }
-}
-
-/// It moves the axis, or makes it ready to be moved.
-fn acts(command: &Command) -> bool {
-    command.is_motion() || matches!(command, Command::Home | Command::Enable)
 }
 
 #[cfg(test)]

@@ -66,7 +66,7 @@ impl GroupSync {
                 continue;
             }
             for part in set {
-                controllers[part.member as usize].take_counted(cycle.index, *part);
+                controllers[part.member as usize].take_setpoint(cycle.index, *part);
             }
         }
     }

@@ -7,7 +7,7 @@ use std::num::NonZeroU32;
 
 pub use self::event::EventRecord;
 use crate::axis::units::way;
-use crate::axis::{Command, CommandId, DriveStatus, Emergency, Link, QueuedCommand, Shown, State, StopCause};
+use crate::axis::{Command, CommandId, Emergency, Feedback, Link, QueuedCommand, Shown, State, StopCause};
 use crate::named;
 
 /// The result of a drive's exchange in a cycle.
@@ -118,16 +118,6 @@ pub(crate) struct Measured {
     pub noted: bool,
 }
 
-/// What is published of an axis besides the status of its drive, as in its [`DriveRecord`].
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Published {
-    pub index: u64,
-    pub axis: u16,
-    pub link: Link,
-    pub stopped: Option<StopCause>,
-    pub command: u8,
-}
-
 /// An emergency in compact form.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ShortEmergency([u8; 2], u8);
@@ -157,13 +147,13 @@ impl DriveRecord {
         self.reported(way(modulo, self.position, self.demand))
     }
 
-    /// What was published, what was measured, and what it shows of a drive's status.
+    /// Of axis `axis`, which runs `command`: what was measured and published.
     #[inline]
-    pub(crate) fn new(of: Published, measured: Measured, status: &DriveStatus) -> DriveRecord {
-        let Published { index, axis, link, stopped, command } = of;
+    pub(crate) fn new(axis: u16, command: u8, measured: Measured, feedback: &Feedback) -> DriveRecord {
+        let Feedback { cycle, link, stopped, ref status, .. } = *feedback;
         let Measured { reply, was_online, emergency, phase_ns, jitter_ns, rtt_ns, age_ns, .. } = measured;
         DriveRecord {
-            index,
+            index: cycle,
             axis,
             reply,
             link,
@@ -256,6 +246,7 @@ pub fn measured(ns: u64) -> Option<NonZeroU32> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::axis::DriveStatus;
 
     #[test]
     fn a_record_shows_the_status_of_its_cycle() {
@@ -272,8 +263,9 @@ mod tests {
             }
         };
         let status = DriveStatus { fault: 1, warning: 2, ..status };
-        let of = Published { index: 7, axis: 3, link: Link::Online, stopped: None, command: 5 };
-        let shown = DriveRecord::new(of, Measured { rtt_ns: measured(0), ..Measured::default() }, &status);
+        let feedback = Feedback { cycle: 7, link: Link::Online, status, ..Feedback::default() };
+        let measures = Measured { rtt_ns: measured(0), ..Measured::default() };
+        let shown = DriveRecord::new(3, 5, measures, &feedback);
         assert_eq!((shown.index, shown.axis, shown.rtt_ns), (7, 3, NonZeroU32::new(1)));
         assert_eq!((shown.link, shown.command), (Link::Online, 5));
         assert_eq!((shown.state, shown.moving, shown.sto_open), (State::Fault, true, true));

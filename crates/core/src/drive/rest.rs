@@ -4,7 +4,7 @@
 //! whose commands have all ended. What is left of an ended motion only decays: a speed that rises again, or that
 //! lasts, is a motion of its own.
 
-use crate::axis::StopPlan;
+use crate::axis::{DriveStatus, StopPlan};
 use crate::time::{MS, Time, nanos};
 
 /// So many reports in a row, in one direction, are proof: a push or a disturbance leads there and back again.
@@ -16,15 +16,6 @@ const SETTLED_WITHIN_NS: u64 = 50 * MS;
 
 /// A stopped motor overshoots by no more than the speed that its stop takes away in this time, s.
 const OVERSHOOT_SECONDS: f64 = 0.01;
-
-/// A clean report of the drive.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Motion {
-    /// The drive's setpoint generator runs, or the protocol sees the drive in motion.
-    pub(super) moving: bool,
-    /// User units/s; NaN if the drive reports none.
-    pub(super) velocity: f64,
-}
 
 /// What the axis may still do.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -76,8 +67,8 @@ impl Rest {
 
     /// A clean report of an axis with power that nothing commands. Exchanges are `seconds` apart. True if it moves
     /// by itself.
-    pub(super) fn moves(&mut self, now: Time, motion: Motion, stop: &StopPlan, seconds: f64) -> bool {
-        let Motion { moving, velocity } = motion;
+    pub(super) fn moves(&mut self, now: Time, report: &DriveStatus, stop: &StopPlan, seconds: f64) -> bool {
+        let DriveStatus { moving, velocity, .. } = *report;
         // Without a velocity only the protocol knows.
         let speed = if velocity.is_nan() { 0.0 } else { velocity.abs() };
         let stands = !moving && speed <= stop.standstill;
@@ -140,7 +131,8 @@ mod tests {
         let mut rest = Rest::default();
         begin(&mut rest);
         reports.into_iter().enumerate().position(|(index, (moving, velocity))| {
-            rest.moves(Time(ms * MS * index as u64), Motion { moving, velocity }, stop, ms as f64 * 1e-3)
+            let report = DriveStatus { moving, velocity, ..DriveStatus::default() };
+            rest.moves(Time(ms * MS * index as u64), &report, stop, ms as f64 * 1e-3)
         })
     }
 

@@ -90,8 +90,7 @@ impl DriveController {
         self.commanded = slot.commanded;
         let held = self.held.take();
         let leaves = self.owner != Owner::Here && self.lose_owner(cycle, now);
-        let resets = |active: &QueuedCommand| matches!(active.command, Command::Reset);
-        if self.machine.end().is_some() || self.duty.active().as_ref().is_some_and(resets) {
+        if self.machine.end().is_some() || self.duty.command() == Some(&Command::Reset) {
             self.end_active(cycle, now);
         }
         if self.task_command.is_some() || !self.queues.commands.is_empty() {
@@ -103,7 +102,7 @@ impl DriveController {
             || self.waiting.is_some()
             || self.held.is_some()
             || leaves
-            || self.duty.active().as_ref().is_some_and(resets);
+            || self.duty.command() == Some(&Command::Reset);
     }
 
     /// Ends what an application that has dropped the axis has left behind: what moves it or switches its power on,
@@ -119,9 +118,7 @@ impl DriveController {
         let ends = |queued: &QueuedCommand| queued.command.is_urgent() && self.admit(queued).is_ok();
         let ended = queued.iter().rposition(ends).map_or(0, |place| place + 1);
         let own = (*self.duty.active()).filter(|active| ended == 0 && !active.id.is_of_task());
-        let acts = |queued: &QueuedCommand| {
-            queued.command.is_motion() || matches!(queued.command, Command::Enable | Command::Home)
-        };
+        let acts = |queued: &QueuedCommand| queued.command.acts();
         if self.plan.on_owner_lost == OwnerLost::Stop
             && (own.as_ref().is_some_and(acts) || queued.range(ended..).any(acts))
         {
@@ -311,7 +308,6 @@ impl DriveController {
             (_, Latch::Kept(cause) | Latch::Down(cause, _)) => return Err(Failure::Latched(*cause)),
         }
         let state = self.feedback.status.state;
-        let motion = queued.command.is_motion() || matches!(queued.command, Command::Home);
         let native = |owner| queued.command == Command::Native(owner);
         match queued.command {
             Command::Reset if !self.duty.latch().is_settled() && !self.answers() => Err(Failure::NotOnline),
@@ -322,7 +318,7 @@ impl DriveController {
             Command::Disable if self.plan.load != Load::Level && state.is_powered() && !self.stands() => {
                 Err(Failure::LoadInMotion)
             }
-            _ if !motion || native(NativeOwner::Application) => Ok(()),
+            _ if !queued.command.moves() || native(NativeOwner::Application) => Ok(()),
             _ if state != State::OperationEnabled && !native(NativeOwner::Master) => {
                 Err(Failure::WrongState(state))
             }
@@ -338,10 +334,7 @@ impl DriveController {
 
     /// The axis stands still, as far as it is known: nothing moves it, and the drive's report is current.
     fn stands(&self) -> bool {
-        let moved = self
-            .duty
-            .active()
-            .is_some_and(|active| active.command.is_motion() || matches!(active.command, Command::Home));
+        let moved = self.duty.command().is_some_and(Command::moves);
         let slow = self.feedback.status.velocity.abs() <= self.plan.stop.standstill;
         !moved && !self.feedback.status.moving && slow && self.feedback.age < self.plan.divisor
     }

@@ -111,6 +111,11 @@ impl Duty {
         &self.active
     }
 
+    /// What it does.
+    pub(super) fn command(&self) -> Option<&Command> {
+        self.active.as_ref().map(|active| &active.command)
+    }
+
     /// The cause and the sequence of the stop.
     pub(super) fn sequence(&mut self) -> Option<(StopCause, &mut StopSequence)> {
         if let Latch::Down(cause, sequence) = &mut self.latch { Some((*cause, sequence)) } else { None }
@@ -138,18 +143,17 @@ impl Duty {
     }
 
     fn note(&mut self) {
-        let command = self.active.map(|active| active.command);
+        let command = self.command();
         let led = matches!(
             command,
             Some(Command::Move(_) | Command::Jog(_) | Command::Velocity { .. } | Command::Follow)
         );
-        let stop = matches!(command, Some(Command::Stop { .. } | Command::QuickStop));
         self.follows = Follows {
             is_led: led && self.claim == Claim::Armed && self.latch.is_open() && !self.under_torque,
-            stops: stop || matches!(self.latch, Latch::Down(..)),
-            is_free: command == Some(Command::Native(NativeOwner::Application)),
-            rows: command == Some(Command::Follow),
-            command: command.map_or(0, |command| command.code()),
+            stops: command.is_some_and(Command::is_stop) || matches!(self.latch, Latch::Down(..)),
+            is_free: command == Some(&Command::Native(NativeOwner::Application)),
+            rows: command == Some(&Command::Follow),
+            command: command.map_or(0, Command::code),
         };
     }
 }

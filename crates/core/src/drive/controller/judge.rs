@@ -2,8 +2,8 @@
 
 use super::duty::Claim;
 use super::watch::Braked;
-use super::{Along, DriveController, Ending, acts};
-use crate::axis::{DriveStatus, EventKind, Link, Shown, State, StopCause};
+use super::{Along, DriveController, Ending};
+use crate::axis::{Command, DriveStatus, EventKind, Link, Shown, State, StopCause};
 use crate::bus::contract::Ended;
 use crate::bus::{Cycle, Exchange, Slot};
 use crate::drive::bounds::Sample;
@@ -115,7 +115,9 @@ impl DriveController {
         if let Some(sent_at) = earlier.and_then(|earlier| earlier.reported) {
             self.grow_older(cycle, sent_at);
         }
-        self.take_link(cycle, now, slot);
+        if self.feedback.link != self.health.link() {
+            self.change_link(cycle, now, slot);
+        }
         if let Some(by) = jumped {
             self.jump(cycle, now, by);
         }
@@ -247,18 +249,10 @@ impl DriveController {
             self.fall(status);
         }
         let noticed = notices.restarted | notices.monitor_refused.is_some() | notices.emergency.is_some();
-        if noticed || Shows::of(&self.feedback.status) != Shows::of(status) {
+        if noticed || shows(&self.feedback.status) != shows(status) {
             return self.take_news(cycle, now, slot, rtt);
         }
         self.keep_status(slot, rtt);
-    }
-
-    /// The same where something is to be reported.
-    #[inline(never)]
-    fn take_news(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot, rtt: Option<u32>) {
-        let before = Shows::of(&self.feedback.status);
-        self.keep_status(slot, rtt);
-        self.report(cycle, now, slot, before);
     }
 
     /// A fresh status becomes the feedback.
@@ -293,9 +287,11 @@ impl DriveController {
         }
     }
 
-    /// Reports what is new, or differs from what was shown `before`.
+    /// The same where something is to be reported: what is new, or differs from what was shown before.
     #[cold]
-    fn report(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot, before: Shows) {
+    fn take_news(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot, rtt: Option<u32>) {
+        let before = self.feedback.status;
+        self.keep_status(slot, rtt);
         if let Some((channel, status)) = slot.notices.monitor_refused.take() {
             self.emit(cycle, now, EventKind::MonitorRefused { channel, status });
         }
@@ -303,7 +299,7 @@ impl DriveController {
             self.emit(cycle, now, EventKind::Restarted);
         }
         self.take_emergency(cycle, now, slot);
-        let reported = Shows::of(&self.feedback.status);
+        let reported = self.feedback.status;
         if before.sto_open != reported.sto_open {
             self.emit(cycle, now, EventKind::StoClosed(!reported.sto_open));
         }
@@ -326,14 +322,7 @@ impl DriveController {
         }
     }
 
-    /// The link as evaluated: events, loss, and a drive found running.
-    #[inline]
-    fn take_link(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) {
-        if self.feedback.link != self.health.link() {
-            self.change_link(cycle, now, slot);
-        }
-    }
-
+    /// The link has changed: events, loss, and a drive found running.
     #[cold]
     fn change_link(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) {
         let (before, link) = (self.feedback.link, self.health.link());
@@ -343,8 +332,8 @@ impl DriveController {
         self.losses += u64::from(link == Link::Lost && before == Link::Online && !slot.expected_silence);
         match link {
             Link::Lost if before == Link::Online => {
-                let rests = self.duty.claim() != Claim::Armed
-                    && !self.duty.active().is_some_and(|one| acts(&one.command));
+                let rests =
+                    self.duty.claim() != Claim::Armed && !self.duty.command().is_some_and(Command::acts);
                 self.stop(cycle, now, StopCause::LinkLost);
                 if rests && slot.expected_silence {
                     // Its stop group goes on: this silence was requested, and the drive holds or moves nothing, nor is
@@ -374,18 +363,7 @@ struct EndedEarlier {
 }
 
 /// What of a status is reported when it changes.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Shows {
-    state: State,
-    sto_open: bool,
-    warning: u32,
-    fault: u32,
-}
-
-impl Shows {
-    #[inline]
-    fn of(status: &DriveStatus) -> Shows {
-        let DriveStatus { state, sto_open, warning, fault, .. } = *status;
-        Shows { state, sto_open, warning, fault }
-    }
+#[inline]
+fn shows(status: &DriveStatus) -> (State, bool, u32, u32) {
+    (status.state, status.sto_open, status.warning, status.fault)
 }

@@ -96,14 +96,10 @@ impl DriveController {
         }
     }
 
-    /// Takes one that counts.
-    pub fn take_counted(&mut self, cycle: u64, setpoint: Setpoint) {
-        self.numbered = setpoint.number;
-        self.take_setpoint(cycle, setpoint);
-    }
-
-    /// A setpoint that is not for the running command waits for its own.
-    pub(super) fn take_setpoint(&mut self, cycle: u64, setpoint: Setpoint) {
+    /// Takes one that counts. If it is not for the running command, it waits for its own.
+    pub fn take_setpoint(&mut self, cycle: u64, setpoint: Setpoint) {
+        // Those of the in-loop task have no number.
+        self.numbered = self.numbered.max(setpoint.number);
         match *self.duty.active() {
             Some(active) if active.id == setpoint.of => self.set_level(cycle, setpoint.value),
             _ if setpoint.of == CommandId::NO_OWNER => self.owner = Owner::Leaves,
@@ -119,7 +115,7 @@ impl DriveController {
 
     /// Stops an axis whose velocity or torque is older than it may be, and notes when to look at that again.
     pub(super) fn age_setpoint(&mut self, cycle: &Cycle, now: Time) {
-        let age = match self.duty.active().as_ref().map(|active| &active.command) {
+        let age = match self.duty.command() {
             Some(Command::Velocity { .. } | Command::Torque { .. }) => {
                 Some((u64::from(self.plan.setpoint_age), StopCause::StaleSetpoint))
             }
@@ -163,7 +159,7 @@ impl DriveController {
     pub fn feed(&mut self, cycle: &Cycle, now: Time, slot: &Slot) {
         let Some(active) = self.takes_row(slot) else {
             // A row of the task is for the send that it was given for, and begins no later stream.
-            if self.duty.active().is_none_or(|active| !matches!(active.command, Command::Follow)) {
+            if !self.follows_rows() {
                 self.task_row = None;
             }
             return;

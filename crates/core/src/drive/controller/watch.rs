@@ -2,15 +2,13 @@
 
 use super::duty::{Claim, Latch};
 use super::{Along, DriveController, Ending};
-use crate::axis::command::NativeOwner;
 use crate::axis::{
-    Abort, BegunBy, Command, EventKind, FollowingError, FoundRunning, GroupCall, Link, Outcome,
-    QueuedCommand, State, StopCause, StopThen,
+    Abort, BegunBy, Command, EventKind, FollowingError, FoundRunning, GroupCall, Link, Outcome, State,
+    StopCause, StopThen,
 };
 use crate::bus::{Cycle, Slot};
 use crate::drive::at_end::{AtEnd, Known, Requested};
 use crate::drive::bounds::Watched;
-use crate::drive::rest::Motion;
 use crate::drive::stop::{Sight, StopSequence};
 use crate::time::{Time, nanos};
 
@@ -85,7 +83,7 @@ impl DriveController {
             self.find_running(cycle, now, braked);
         } else if self.duty.latch().is_open() {
             // What no command has begun follows no setpoint, nor does what goes on under a stop, or strays from them.
-            let follows = self.duty.active().is_some_and(|active| !stops(active));
+            let follows = self.duty.command().is_some_and(|command| !command.is_stop());
             let own = !follows && matches!(cause, StopCause::Uncommanded | StopCause::Limit)
                 || cause == StopCause::FollowingError;
             let braked = if own { Braked::ByTheDrive } else { Braked::BySetpoints };
@@ -137,7 +135,7 @@ impl DriveController {
     /// Why an axis that is expected to stay in operation is not.
     fn left_operation(&self, restarted: bool) -> Option<StopCause> {
         // Where the application owns the control word, the drive's state is the application's concern.
-        let free = self.is_native(NativeOwner::Application);
+        let free = self.duty.follows().is_free;
         if !(self.duty.claim() == Claim::Armed || free) {
             return None;
         }
@@ -165,16 +163,16 @@ impl DriveController {
         let seconds = self.row_seconds;
         let braking = matches!(self.duty.latch(), Latch::Down(_, sequence) if !sequence.is_down());
         // What is on already is not moved by being enabled.
-        let commanded = self.duty.active().as_ref().is_some_and(|active| match active.command {
+        let commanded = self.duty.command().is_some_and(|command| match command {
             Command::Reset | Command::ResetFault => false,
             Command::Enable => state != State::OperationEnabled,
             _ => true,
         });
         // Only the drive knows how it will brake if this loop does not command it; under torque nothing brakes it.
-        let native = self.duty.active().is_some_and(|active| matches!(active.command, Command::Native(_)));
+        let unled = matches!(self.duty.command(), None | Some(Command::Native(_)));
         let watched = Watched {
-            homing: self.duty.active().is_some_and(|active| matches!(active.command, Command::Home)),
-            braking: native || self.duty.active().is_none() || self.is_under_torque(),
+            homing: self.duty.command() == Some(&Command::Home),
+            braking: unled || self.duty.is_under_torque(),
         };
         let broken = self.bounds.are_broken(watched, seconds);
         if braking {
@@ -182,9 +180,7 @@ impl DriveController {
         } else if commanded {
             self.rest.interrupt();
         } else if !slot.status.suspect {
-            let motion =
-                Motion { moving: self.feedback.status.moving, velocity: self.feedback.status.velocity };
-            if self.rest.moves(now, motion, &self.plan.stop, seconds) {
+            if self.rest.moves(now, &self.feedback.status, &self.plan.stop, seconds) {
                 return Some(if broken { StopCause::Limit } else { StopCause::Uncommanded });
             }
         }
@@ -195,7 +191,7 @@ impl DriveController {
     /// The application's stop has not ended in its time, although the drive answers. A stop sequence that runs has its
     /// own time-out; and what was only read is not ours to stop.
     fn is_stopping_too_long(&self, now: Time) -> bool {
-        self.duty.active().is_some_and(stops)
+        self.duty.command().is_some_and(Command::is_stop)
             && self.duty.latch().is_settled()
             && !matches!(self.duty.latch(), Latch::Kept(_))
             && self.answers()
@@ -249,17 +245,8 @@ impl DriveController {
 
     /// It is enabled, or about to be, or the application commands its drive.
     pub(super) fn is_armed(&self) -> bool {
-        let rising = self.duty.active().is_some_and(|active| matches!(active.command, Command::Enable));
-        self.duty.claim() == Claim::Armed || rising || self.is_native(NativeOwner::Application)
-    }
-
-    /// Whether no position leads the drive, and its reported demand is meaningless.
-    pub(super) fn is_under_torque(&self) -> bool {
-        self.duty.is_under_torque()
-    }
-
-    fn is_native(&self, owner: NativeOwner) -> bool {
-        matches!(self.duty.active(), Some(QueuedCommand { command: Command::Native(own), .. }) if *own == owner)
+        let rising = self.duty.command() == Some(&Command::Enable);
+        self.duty.claim() == Claim::Armed || rising || self.duty.follows().is_free
     }
 
     /// How the axis was to end its motion, by the drive machine's command or by one that was accepted and is about to
@@ -288,7 +275,7 @@ impl DriveController {
             stop.then = StopThen::Disable;
         }
         // No ramp of velocities brakes a drive that follows torques: it would only lose its torque along the slope.
-        let by_the_drive = braked == Braked::ByTheDrive || self.is_under_torque() || requested.quick;
+        let by_the_drive = braked == Braked::ByTheDrive || self.duty.is_under_torque() || requested.quick;
         let start = if by_the_drive { StopSequence::start_escalated } else { StopSequence::start };
         let (sequence, command) = start(stop, self.plan.load, now, self.speed());
         self.duty.set_latch(Latch::Down(cause, sequence));
@@ -420,9 +407,4 @@ struct RequestedEnd {
     off: bool,
     /// The steepest ramp, user units/s²; 0: none.
     deceleration: f64,
-}
-
-/// Whether the application's command is a stop.
-fn stops(active: QueuedCommand) -> bool {
-    matches!(active.command, Command::Stop { .. } | Command::QuickStop)
 }

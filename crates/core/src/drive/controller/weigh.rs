@@ -154,11 +154,10 @@ impl DriveController {
     fn bound(&self, status: &DriveStatus, evidence: &Evidence) -> Bound {
         let before = &self.feedback.status;
         let starts = |state: State| matches!(state, State::Unknown | State::NotReadyToSwitchOn);
-        let active = self.duty.active().map(|active| active.command);
         if self.feedback.link != Link::Online
             || starts(before.state)
             || starts(status.state)
-            || matches!(active, Some(Command::Home | Command::Native(_)))
+            || matches!(self.duty.command(), Some(Command::Home | Command::Native(_)))
             || (evidence.homing, evidence.mode == ModeIs::Homing) != (Homing::Open, false)
             || status.at < self.doubt.settles_until
         {
@@ -171,7 +170,7 @@ impl DriveController {
 
     /// What the drive says of its reference does not count.
     fn is_masked(&self) -> bool {
-        self.doubt.unreferenced && !self.duty.active().is_some_and(|active| active.command == Command::Home)
+        self.doubt.unreferenced && self.duty.command() != Some(&Command::Home)
     }
 
     /// The axis is where two reports agree, and cannot have moved there: its encoder or its drive has lost its place.
