@@ -9,7 +9,8 @@ use std::sync::atomic::Ordering;
 
 use crossbeam::utils::CachePadded;
 
-use super::command::{CommandId, Setpoint};
+use super::command::Setpoint;
+use crate::packed::Part as _;
 use crate::rt::Regions;
 use crate::sync::AtomicU64;
 
@@ -17,8 +18,8 @@ use crate::sync::AtomicU64;
 const FRESH: u64 = 4;
 const INDEX: u64 = 3;
 
-/// A part: its axis and the number of parts, its number, its command, its value.
-type Part = [AtomicU64; 4];
+/// A part, as words.
+type Part = [AtomicU64; Setpoint::WORDS];
 
 #[derive(Debug)]
 struct Shared {
@@ -55,8 +56,8 @@ impl NewestIn {
     /// Replaces the set by these parts of one, which all name their number.
     pub fn write(&mut self, parts: &[Setpoint]) {
         for (words, part) in self.shared.sets[self.own as usize].iter().zip(parts) {
-            let Setpoint { member, parts, number, of, value } = *part;
-            let values = [u64::from(member) << 32 | u64::from(parts), number, of.0, value.to_bits()];
+            let mut values = [0; Setpoint::WORDS];
+            part.put(&mut values);
             for (word, value) in words.iter().zip(values) {
                 word.store(value, Ordering::Relaxed);
             }
@@ -85,20 +86,14 @@ impl NewestOut {
     /// A part of the set that was taken last; `None` beyond the most that there can be.
     pub fn part(&self, place: usize) -> Option<Setpoint> {
         let words = self.shared.sets[self.own as usize].get(place)?;
-        let [of_set, number, of, value] = [0, 1, 2, 3].map(|word: usize| words[word].load(Ordering::Relaxed));
-        Some(Setpoint {
-            member: (of_set >> 32) as u32,
-            parts: of_set as u32,
-            number,
-            of: CommandId(of),
-            value: f64::from_bits(value),
-        })
+        Some(Setpoint::take(&words.each_ref().map(|word| word.load(Ordering::Relaxed))))
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::axis::CommandId;
 
     /// Set `n` of three parts.
     fn set(n: u64) -> [Setpoint; 3] {

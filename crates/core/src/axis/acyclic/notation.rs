@@ -419,14 +419,10 @@ impl Access<'_> {
         }
     }
 
-    /// Carries out calls that belong together; returns what the first one has answered.
+    /// The same; returns what the first one has answered.
     fn carry_out(&self, request: &Request, calls: &[Call]) -> Result<Answer, ParameterError> {
-        let limit = calls.first().map_or(LIMIT, |call| self.notation.limit(call));
-        let Series { answers, failed } = self.carrier.run(calls, limit);
-        match (failed, answers.first()) {
-            (None, Some(answer)) => Ok(*answer),
-            (failed, _) => Err(request.failed(failed.unwrap_or(CallError::Gone), self.notation)),
-        }
+        let first = self.run(request, calls)?.first().copied();
+        first.ok_or_else(|| request.failed(CallError::Gone, self.notation))
     }
 }
 

@@ -10,7 +10,7 @@ use super::{Answer, Call, CallError, PostError};
 impl Acyclic {
     /// Its parameters.
     pub fn parameters(&self) -> Parameters {
-        Parameters::new(self.clone())
+        Parameters(self.clone())
     }
 }
 
@@ -73,10 +73,6 @@ impl Scalar for () {
 pub struct Parameters(Acyclic);
 
 impl Parameters {
-    pub(super) fn new(acyclic: Acyclic) -> Parameters {
-        Parameters(acyclic)
-    }
-
     /// The queue of calls below.
     pub fn acyclic(&self) -> &Acyclic {
         &self.0
