@@ -15,7 +15,7 @@ use super::command::{
 };
 use super::event::Event;
 use super::feedback::Feedback;
-use super::handle::{Axis, AxisError, longest};
+use super::handle::{Axis, AxisError, Level};
 use super::observer::GRACE;
 use super::plan::AxisPlan;
 
@@ -169,12 +169,10 @@ impl Group {
             ids[place] = self.axes[place].sent(part);
         }
         // Velocities are for the members that this call gives one, as long as another call does not; so are torques.
-        for (torques, takes) in
-            [(false, Command::takes_velocities as fn(&Command) -> bool), (true, Command::takes_torques)]
-        {
-            if parts().any(|place| takes(&commands[place])) {
-                let others = parts().filter(|place| !takes(&commands[*place]));
-                others.for_each(|place| self.axes[place].follows_no_more(torques));
+        for level in Level::ALL {
+            if parts().any(|place| level.is_of(&commands[place])) {
+                let others = parts().filter(|place| !level.is_of(&commands[*place]));
+                others.for_each(|place| self.axes[place].follows[level as usize] = CommandId(0));
             }
         }
         Ok(GroupCommand { command: parts().next().map_or("", |place| commands[place].name()), ids })
@@ -213,36 +211,31 @@ impl Group {
     /// the last call with one gave it. A member that this call gave none ignores its value. The newest set counts; it
     /// has to be renewed before it is older than `setpoint_age` or the dead-man time of a member.
     pub fn set_velocities(&mut self, velocities: &[f64]) -> Result<(), GroupError> {
-        self.count(velocities.len())?;
-        for (axis, velocity) in self.axes.iter().zip(velocities) {
-            axis.accepts_velocity(*velocity)?;
-        }
-        self.give(velocities, false);
-        Ok(())
+        self.set(Level::Velocity, velocities)
     }
 
     /// The torque setpoints of all members, per cent of the rated torque, while they run [`Command::Torque`]; in the
     /// same way as [velocities](Self::set_velocities).
     pub fn set_torques(&mut self, torques: &[f64]) -> Result<(), GroupError> {
-        self.count(torques.len())?;
-        for (axis, torque) in self.axes.iter().zip(torques) {
-            axis.accepts_torque(*torque)?;
-        }
-        self.give(torques, true);
-        Ok(())
+        self.set(Level::Torque, torques)
     }
 
-    /// Hands one set of setpoints over, through its first member.
-    fn give(&mut self, values: &[f64], torques: bool) {
-        let follows = |axis: &Axis| axis.follows(torques) != CommandId(0);
+    /// Hands one set of setpoints over, through the first member that takes them.
+    fn set(&mut self, level: Level, values: &[f64]) -> Result<(), GroupError> {
+        self.count(values.len())?;
+        for (axis, value) in self.axes.iter().zip(values) {
+            axis.accepts_level(level, *value)?;
+        }
+        let follows = |axis: &Axis| axis.follows[level as usize] != CommandId(0);
         let count = self.axes.iter().filter(|axis| follows(axis)).count();
         let parts: Vec<Setpoint> = (self.axes.iter_mut().zip(values))
             .filter(|(axis, _)| follows(axis))
-            .map(|(axis, value)| axis.setpoint(axis.follows(torques), *value, count))
+            .map(|(axis, value)| axis.setpoint(axis.follows[level as usize], *value, count))
             .collect();
         if let Some(first) = self.axes.iter_mut().find(|axis| follows(axis)) {
             first.give(&parts);
         }
+        Ok(())
     }
 
     /// How many rows the streams have room for.
@@ -271,17 +264,17 @@ impl Group {
 
     /// Enables all members and waits until they are in operation.
     pub fn enable(&mut self) -> Result<(), GroupError> {
-        self.run_all(Command::Enable, |axis| axis.plan().enable_timeout)
+        self.run_all(Command::Enable)
     }
 
     /// Powers all members off and waits until they are off.
     pub fn disable(&mut self) -> Result<(), GroupError> {
-        self.run_all(Command::Disable, |axis| axis.plan().enable_timeout)
+        self.run_all(Command::Disable)
     }
 
     /// Homes all members and waits until homing is complete.
     pub fn home(&mut self) -> Result<(), GroupError> {
-        self.run_all(Command::Home, |axis| axis.plan().home_timeout)
+        self.run_all(Command::Home)
     }
 
     /// Moves each member to its position (user units) along its own profile and waits until all have arrived. They
@@ -292,33 +285,29 @@ impl Group {
         let commands: Vec<Command> = (positions.iter().zip(profiles))
             .map(|(position, profile)| Command::Move(Move { target: Target::Absolute(*position), profile }))
             .collect();
-        let limit = (self.axes.iter().zip(positions))
-            .map(|(axis, position)| {
-                longest((position - axis.feedback().status.demand).abs(), &axis.profile())
-            })
-            .max();
+        let limit = (self.axes.iter().zip(&commands)).map(|(axis, command)| axis.time_limit(command)).max();
         let command = self.post(&commands)?;
         self.wait(&command, limit.unwrap_or_default() + GRACE)
     }
 
     /// Ramps all members down and waits for standstill; the drives stay enabled.
     pub fn stop(&mut self) -> Result<(), GroupError> {
-        self.run_all(Command::Stop { deceleration: None }, |axis| axis.plan().stop.timeout)
+        self.run_all(Command::Stop { deceleration: None })
     }
 
     /// The fastest controlled stop of all members; waits for standstill.
     pub fn quick_stop(&mut self) -> Result<(), GroupError> {
-        self.run_all(Command::QuickStop, |axis| axis.plan().stop.timeout)
+        self.run_all(Command::QuickStop)
     }
 
     /// Acknowledges the faults of all members.
     pub fn reset_fault(&mut self) -> Result<(), GroupError> {
-        self.run_all(Command::ResetFault, |axis| axis.plan().enable_timeout)
+        self.run_all(Command::ResetFault)
     }
 
     /// Clears the stop latches of all members.
     pub fn reset(&mut self) -> Result<(), GroupError> {
-        self.run_all(Command::Reset, |axis| axis.plan().stop.timeout * 2)
+        self.run_all(Command::Reset)
     }
 
     /// Waits until `command` has ended at all members. The error is that of the member which caused it, if one did.
@@ -338,8 +327,8 @@ impl Group {
         }
     }
 
-    fn run_all(&mut self, command: Command, limit: impl Fn(&Axis) -> Duration) -> Result<(), GroupError> {
-        let limit = self.axes.iter().map(limit).max().unwrap_or_default();
+    fn run_all(&mut self, command: Command) -> Result<(), GroupError> {
+        let limit = self.axes.iter().map(|axis| axis.time_limit(&command)).max().unwrap_or_default();
         match self.post_all(command) {
             Err(GroupError::Partly { posted, refused }) => {
                 self.wait(&posted, limit + GRACE)?;

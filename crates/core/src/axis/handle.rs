@@ -6,7 +6,6 @@
 use std::any::Any;
 use std::collections::VecDeque;
 use std::sync::Arc;
-use std::thread::sleep;
 use std::time::{Duration, Instant};
 
 use rtrb::{Consumer, Producer};
@@ -22,7 +21,7 @@ use super::event::{Event, EventKind};
 use super::feedback::{BegunBy, Fault, FaultNames, Feedback, Link, StopCause};
 use super::limits::{Lacks, check_command, check_row, check_torque, check_velocity};
 use super::newest::NewestIn;
-use super::observer::{GRACE, LOOK_EVERY, Observer};
+use super::observer::{GRACE, Observer};
 use super::plan::AxisPlan;
 use super::pulse::Pulse;
 use super::streams::Streams;
@@ -82,10 +81,8 @@ pub struct Axis {
     acyclic: Acyclic,
     pub(super) ends: AxisEnds,
     pub(super) next_id: CommandId,
-    /// The last jog or cyclic velocity.
-    rolling: CommandId,
-    /// The last torque.
-    pressing: CommandId,
+    /// The last command that takes each kind of setpoint; id 0 = none.
+    pub(super) follows: [CommandId; 2],
     /// Setpoints that were given so far.
     setpoints: u64,
     /// Commands whose ends were not taken out of the event queue yet: each has a place there.
@@ -96,6 +93,25 @@ pub struct Axis {
     /// Kept events that the application did not take and that had to make room.
     dropped: u64,
     streams: Streams,
+}
+
+/// What cyclic setpoints are.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Level {
+    Velocity,
+    Torque,
+}
+
+impl Level {
+    pub(super) const ALL: [Level; 2] = [Level::Velocity, Level::Torque];
+
+    /// Whether `command` takes them.
+    pub(super) fn is_of(self, command: &Command) -> bool {
+        match self {
+            Level::Velocity => command.takes_velocities(),
+            Level::Torque => command.takes_torques(),
+        }
+    }
 }
 
 /// The application's ends of the queues of one axis.
@@ -235,8 +251,7 @@ impl Axis {
             pulse,
             ends,
             next_id: CommandId(1),
-            rolling: CommandId(0),
-            pressing: CommandId(0),
+            follows: [CommandId(0); 2],
             setpoints: 0,
             unended: 0,
             kept: VecDeque::new(),
@@ -326,7 +341,7 @@ impl Axis {
     /// The next event, if there is one.
     pub fn event(&mut self) -> Option<Event> {
         let kept = self.kept.pop_front();
-        self.kept_ends -= usize::from(kept.as_ref().is_some_and(is_end));
+        self.kept_ends -= usize::from(kept.as_ref().and_then(ended).is_some());
         kept.or_else(|| self.take_event())
     }
 
@@ -390,11 +405,10 @@ impl Axis {
         self.pulse.beat();
         self.unended += 1;
         self.next_id.0 += 1;
-        if command.takes_velocities() {
-            self.rolling = id;
-        }
-        if command.takes_torques() {
-            self.pressing = id;
+        for level in Level::ALL {
+            if level.is_of(&command) {
+                self.follows[level as usize] = id;
+            }
         }
         if command == Command::Follow {
             self.streams.followed(id);
@@ -405,32 +419,23 @@ impl Axis {
     /// The velocity setpoint of a running [`Command::Velocity`] or [`Command::Jog`], user units/s. The newest counts.
     /// It has to be renewed before it is older than `setpoint_age` or the dead-man time of the axis.
     pub fn set_velocity(&mut self, velocity: f64) -> Result<(), AxisError> {
-        self.accepts_velocity(velocity)?;
-        let setpoint = self.setpoint(self.rolling, velocity, 1);
-        self.give(&[setpoint]);
-        Ok(())
+        self.set(Level::Velocity, velocity)
     }
 
     /// The torque setpoint of a running [`Command::Torque`], per cent of the rated torque. The newest counts. It has
     /// to be renewed before it is older than `setpoint_age`.
     pub fn set_torque(&mut self, torque: f64) -> Result<(), AxisError> {
-        self.accepts_torque(torque)?;
-        let setpoint = self.setpoint(self.pressing, torque, 1);
+        self.set(Level::Torque, torque)
+    }
+
+    fn set(&mut self, level: Level, value: f64) -> Result<(), AxisError> {
+        self.accepts_level(level, value)?;
+        let setpoint = self.setpoint(self.follows[level as usize], value, 1);
         self.give(&[setpoint]);
         Ok(())
     }
 
-    /// The command that takes its velocities, or its torques; id 0 = none.
-    pub(super) fn follows(&self, torques: bool) -> CommandId {
-        if torques { self.pressing } else { self.rolling }
-    }
-
-    /// It has no part in the velocities of its group, or in the torques, until it has a command that takes them.
-    pub(super) fn follows_no_more(&mut self, torques: bool) {
-        *if torques { &mut self.pressing } else { &mut self.rolling } = CommandId(0);
-    }
-
-    /// Its part of so many setpoints of one set.
+    /// Its part of so many setpoints of one set, for command `of`.
     pub(super) fn setpoint(&mut self, of: CommandId, value: f64, parts: usize) -> Setpoint {
         self.setpoints += 1;
         let (member, parts, number) = (self.index as u32, parts as u32, self.setpoints);
@@ -444,15 +449,16 @@ impl Axis {
         self.pulse.beat();
     }
 
-    /// Whether `velocity` would be accepted now.
-    pub(super) fn accepts_velocity(&self, velocity: f64) -> Result<(), AxisError> {
-        check_velocity(&self.plan, velocity).map_err(|failure| self.refused("velocity", failure))?;
-        self.is_served()
-    }
-
-    /// Whether `torque` would be accepted now.
-    pub(super) fn accepts_torque(&self, torque: f64) -> Result<(), AxisError> {
-        check_torque(&self.plan, torque).map_err(|failure| self.refused("torque", failure))?;
+    /// Whether this setpoint would be accepted now.
+    pub(super) fn accepts_level(&self, level: Level, value: f64) -> Result<(), AxisError> {
+        match level {
+            Level::Velocity => {
+                check_velocity(&self.plan, value).map_err(|failure| self.refused("velocity", failure))?
+            }
+            Level::Torque => {
+                check_torque(&self.plan, value).map_err(|failure| self.refused("torque", failure))?
+            }
+        }
         self.is_served()
     }
 
@@ -500,35 +506,27 @@ impl Axis {
 
     /// Enables the drive and waits until it is in operation.
     pub fn enable(&mut self) -> Result<(), AxisError> {
-        let limit = self.plan.enable_timeout;
-        self.run(Command::Enable, limit)
+        self.carry_out(Command::Enable)
     }
 
     /// Powers the drive off and waits until it is off.
     pub fn disable(&mut self) -> Result<(), AxisError> {
-        let limit = self.plan.enable_timeout;
-        self.run(Command::Disable, limit)
+        self.carry_out(Command::Disable)
     }
 
     /// Homes the axis and waits until homing is complete.
     pub fn home(&mut self) -> Result<(), AxisError> {
-        let limit = self.plan.home_timeout;
-        self.run(Command::Home, limit)
+        self.carry_out(Command::Home)
     }
 
     /// Moves to `position` (user units) and waits until the motion has ended.
     pub fn move_to(&mut self, position: f64, profile: Profile) -> Result<(), AxisError> {
-        let distance = (position - self.feedback().status.demand).abs();
-        self.run(
-            Command::Move(Move { target: Target::Absolute(position), profile }),
-            longest(distance, &profile),
-        )
+        self.carry_out(Command::Move(Move { target: Target::Absolute(position), profile }))
     }
 
     /// Moves by `distance` (user units) and waits until the motion has ended.
     pub fn move_by(&mut self, distance: f64, profile: Profile) -> Result<(), AxisError> {
-        let command = Command::Move(Move { target: Target::Relative(distance), profile });
-        self.run(command, longest(distance.abs(), &profile))
+        self.carry_out(Command::Move(Move { target: Target::Relative(distance), profile }))
     }
 
     /// Starts a constant velocity (user units/s); `stop` ends it. It has to be renewed by
@@ -540,26 +538,22 @@ impl Axis {
 
     /// Ramps down and waits for standstill; the drive stays enabled.
     pub fn stop(&mut self) -> Result<(), AxisError> {
-        let limit = self.plan.stop.timeout + GRACE;
-        self.run(Command::Stop { deceleration: None }, limit)
+        self.carry_out(Command::Stop { deceleration: None })
     }
 
     /// The drive's fastest controlled stop; waits for standstill. The drive stays enabled if it can.
     pub fn quick_stop(&mut self) -> Result<(), AxisError> {
-        let limit = self.plan.stop.timeout + GRACE;
-        self.run(Command::QuickStop, limit)
+        self.carry_out(Command::QuickStop)
     }
 
     /// Acknowledges a fault of the drive and waits until it is gone. The drive is off then.
     pub fn reset_fault(&mut self) -> Result<(), AxisError> {
-        let limit = self.plan.enable_timeout;
-        self.run(Command::ResetFault, limit)
+        self.carry_out(Command::ResetFault)
     }
 
     /// Clears the latch of a stopped axis; waits for a stop sequence that is still running.
     pub fn reset(&mut self) -> Result<(), AxisError> {
-        let limit = self.plan.stop.timeout * 2;
-        self.run(Command::Reset, limit)
+        self.carry_out(Command::Reset)
     }
 
     /// Waits until the link is up.
@@ -572,10 +566,34 @@ impl Axis {
             if self.ends.feedback.is_stuck() {
                 return Err(self.stuck());
             }
-            self.pulse.beat();
-            sleep(LOOK_EVERY);
+            self.acyclic.rest();
         }
         Ok(())
+    }
+
+    /// The longest time that `command` should take, for the wait only.
+    pub(super) fn time_limit(&self, command: &Command) -> Duration {
+        let plan = &self.plan;
+        match *command {
+            Command::Move(Move { target, profile: Profile { velocity, acceleration, deceleration } }) => {
+                let distance = match target {
+                    Target::Absolute(position) => position - self.feedback().status.demand,
+                    Target::Relative(distance) => distance,
+                };
+                let seconds = distance.abs() / velocity + velocity / acceleration + velocity / deceleration;
+                // Twice as long as it should take.
+                Duration::try_from_secs_f64(2.0 * seconds).unwrap_or(Duration::MAX / 4).saturating_add(GRACE)
+            }
+            Command::Home => plan.home_timeout,
+            Command::Stop { .. } | Command::QuickStop => plan.stop.timeout + GRACE,
+            Command::Reset => plan.stop.timeout * 2,
+            _ => plan.enable_timeout,
+        }
+    }
+
+    fn carry_out(&mut self, command: Command) -> Result<(), AxisError> {
+        let limit = self.time_limit(&command);
+        self.run(command, limit)
     }
 
     /// Posts `command` and waits for its end.
@@ -588,22 +606,11 @@ impl Axis {
     /// or the fault that ended it, is there afterwards. Other events are kept for [`event`](Self::event).
     pub fn wait(&mut self, id: CommandId, command: &'static str, limit: Duration) -> Result<(), AxisError> {
         let begun = Instant::now();
-        // Its end may have come during the wait for another command.
-        if let Some(place) = self.kept.iter().position(|event| is_end_of(event, id))
-            && let Some(event) = self.kept.remove(place)
-        {
-            self.kept_ends -= 1;
-            self.await_feedback(event.cycle, begun, limit);
-            return self.verdict(command, &event);
-        }
         loop {
             let gone = self.ends.events.is_abandoned();
-            while let Some(event) = self.take_event() {
-                if is_end_of(&event, id) {
-                    self.await_feedback(event.cycle, begun, limit);
-                    return self.verdict(command, &event);
-                }
-                self.keep(event);
+            if let Some(event) = self.take_end(id) {
+                self.await_feedback(event.cycle, begun, limit);
+                return self.verdict(command, &event);
             }
             if gone {
                 return Err(self.gone());
@@ -614,17 +621,30 @@ impl Axis {
             if begun.elapsed() > limit {
                 return Err(self.timed_out(command, limit));
             }
-            self.pulse.beat();
-            sleep(LOOK_EVERY);
+            self.acyclic.rest();
         }
+    }
+
+    /// The end of a posted command, if it has come; that may have been during the wait for another one.
+    fn take_end(&mut self, id: CommandId) -> Option<Event> {
+        if let Some(place) = self.kept.iter().position(|event| ended(event) == Some(id)) {
+            self.kept_ends -= 1;
+            return self.kept.remove(place);
+        }
+        while let Some(event) = self.take_event() {
+            if ended(&event) == Some(id) {
+                return Some(event);
+            }
+            self.keep(event);
+        }
+        None
     }
 
     /// Events come before the feedback of their cycle: the rest of the cycle lies between the two.
     fn await_feedback(&self, cycle: u64, begun: Instant, limit: Duration) {
         let comes = || !self.ends.events.is_abandoned() && !self.ends.feedback.is_stuck();
         while self.feedback().cycle < cycle && comes() && begun.elapsed() <= limit {
-            self.pulse.beat();
-            sleep(LOOK_EVERY);
+            self.acyclic.rest();
         }
     }
 
@@ -648,7 +668,7 @@ impl Axis {
     fn take_event(&mut self) -> Option<Event> {
         let event = self.ends.events.pop().ok()?;
         // Those of the in-loop task have their own places.
-        self.unended -= usize::from(is_end(&event) && !is_of_task(&event)).min(self.unended);
+        self.unended -= usize::from(ended(&event).is_some_and(|id| !id.is_of_task())).min(self.unended);
         self.streams.saw(&event);
         Some(event)
     }
@@ -658,14 +678,14 @@ impl Axis {
     fn keep(&mut self, event: Event) {
         let others = self.kept.len() - self.kept_ends;
         let oldest = match others >= self.plan.event_queue {
-            true => self.kept.iter().position(|event| !is_end(event)),
+            true => self.kept.iter().position(|event| ended(event).is_none()),
             false => (self.kept_ends > KEPT_ENDS + URGENT_ROOM).then_some(0),
         };
         if let Some(event) = oldest.and_then(|place| self.kept.remove(place)) {
-            self.kept_ends -= usize::from(is_end(&event));
+            self.kept_ends -= usize::from(ended(&event).is_some());
             self.dropped += 1;
         }
-        self.kept_ends += usize::from(is_end(&event));
+        self.kept_ends += usize::from(ended(&event).is_some());
         self.kept.push_back(event);
     }
 
@@ -713,23 +733,7 @@ impl Drop for Axis {
     }
 }
 
-fn is_end(event: &Event) -> bool {
-    matches!(event.kind, EventKind::Ended { .. })
-}
-
-fn is_of_task(event: &Event) -> bool {
-    matches!(event.kind, EventKind::Ended { id, .. } if id.is_of_task())
-}
-
-/// It is the end of command `id`.
-fn is_end_of(event: &Event, id: CommandId) -> bool {
-    matches!(event.kind, EventKind::Ended { id: ended, .. } if ended == id)
-}
-
-/// Twice the time that a move should take, for the wait only.
-pub(super) fn longest(distance: f64, profile: &Profile) -> Duration {
-    let seconds = distance / profile.velocity
-        + profile.velocity / profile.acceleration
-        + profile.velocity / profile.deceleration;
-    Duration::try_from_secs_f64(2.0 * seconds).unwrap_or(Duration::MAX / 4).saturating_add(GRACE)
+/// The command that has ended by this event.
+fn ended(event: &Event) -> Option<CommandId> {
+    if let EventKind::Ended { id, .. } = event.kind { Some(id) } else { None }
 }

@@ -139,7 +139,7 @@ impl Acyclic {
     }
 
     /// Between two looks: a sign of life, and a short sleep.
-    fn rest(&self) {
+    pub(in crate::axis) fn rest(&self) {
         if let Some(pulse) = &self.pulse {
             pulse.beat();
         }
