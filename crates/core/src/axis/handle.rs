@@ -381,7 +381,7 @@ impl Axis {
 
     /// A command of this axis for a queue.
     pub(super) fn command(&self, command: Command, call: Option<GroupCall>) -> QueuedCommand {
-        let stream = self.streams.to_follow();
+        let stream = self.streams.to_follow;
         QueuedCommand { id: self.next_id, member: self.index as u32, command, stream, call }
     }
 
@@ -482,9 +482,9 @@ impl Axis {
 
     /// Its part of a row of so many members for a queue, if its numbers are within the limits.
     pub(super) fn row(&self, row: Row, parts: usize) -> Result<StreamRow, AxisError> {
-        check_row(&self.plan, &row, self.streams.before()).map_err(|failure| self.refused("row", failure))?;
+        check_row(&self.plan, &row, self.streams.before).map_err(|failure| self.refused("row", failure))?;
         let (member, parts) = (self.index as u32, parts as u32);
-        Ok(StreamRow { stream: self.streams.pushing(), member, parts, row })
+        Ok(StreamRow { stream: self.streams.pushing, member, parts, row })
     }
 
     /// Queues the parts of one row, all or none.

@@ -42,21 +42,21 @@ pub use acyclic::{
     Parameters, PostError, Request, Scalar, Series,
 };
 pub use command::{
-    Abort, Command, CommandId, Failure, Jog, Move, NativeOwner, Outcome, Profile, Row, Target,
+    Abort, Command, CommandId, Failure, GroupCall, Jog, Move, NativeOwner, Outcome, Profile, QueuedCommand,
+    Row, Setpoint, StreamRow, Target,
 };
-pub use command::{GroupCall, QueuedCommand, Setpoint, StreamRow};
 pub use event::{Emergency, Event, EventKind};
-pub use feedback::{BegunBy, DriveStatus, Fault, Feedback, Link, Shown, State, StopCause};
-pub use feedback::{FaultNames, MONITOR_CHANNELS, SilenceFaults};
+pub use feedback::{
+    BegunBy, DriveStatus, Fault, FaultNames, Feedback, Link, MONITOR_CHANNELS, Shown, SilenceFaults, State,
+    StopCause,
+};
 pub use group::{Group, GroupCommand, GroupError, GroupRefused};
-pub use handle::AxisEnds;
-pub use handle::{Axis, AxisError, Samples};
+pub use handle::{Axis, AxisEnds, AxisError, Samples};
 pub use limits::{Cannot, Lacks};
 pub use observer::Observer;
-pub use plan::is_plain_name;
 pub use plan::{
     AxisPlan, FollowingError, FoundRunning, Health, HeldBy, InPosition, Limits, Load, MonitorChannel,
-    OwnerLost, PlanFault, StopHow, StopPlan, StopThen, StopTimeout, Underrun,
+    OwnerLost, PlanFault, StopHow, StopPlan, StopThen, StopTimeout, Underrun, is_plain_name,
 };
 pub use pulse::Pulse;
 pub use units::{RangeError, Unit, Units};

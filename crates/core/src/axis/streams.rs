@@ -11,13 +11,13 @@ use super::event::{Event, EventKind};
 #[derive(Debug)]
 pub(super) struct Streams {
     /// The stream that rows are pushed to.
-    pushing: u32,
+    pub(super) pushing: u32,
     /// The stream that the next follow runs.
-    to_follow: u32,
+    pub(super) to_follow: u32,
     /// The last follow that was posted and not yet seen to end.
     running: Option<(CommandId, u32)>,
-    /// The row before the next one.
-    before: Option<Row>,
+    /// The position of the row before the next one, if there is one in this stream.
+    pub(super) before: Option<f64>,
 }
 
 impl Default for Streams {
@@ -27,24 +27,9 @@ impl Default for Streams {
 }
 
 impl Streams {
-    /// The number of the next row.
-    pub(super) fn pushing(&self) -> u32 {
-        self.pushing
-    }
-
-    /// The number of the next follow.
-    pub(super) fn to_follow(&self) -> u32 {
-        self.to_follow
-    }
-
-    /// The position of the row before the next one, if there is one in this stream.
-    pub(super) fn before(&self) -> Option<f64> {
-        self.before.map(|row| row.position)
-    }
-
     /// A row was queued. After the last one, rows belong to the next stream.
     pub(super) fn pushed(&mut self, row: Row) {
-        self.before = Some(row);
+        self.before = Some(row.position);
         if row.last {
             if self.running.is_some_and(|(_, stream)| stream == self.pushing) {
                 self.to_follow = self.pushing + 1;

@@ -63,19 +63,13 @@ pub struct Machine {
 /// A command before its first request.
 #[derive(Clone, Copy, Debug)]
 struct Waiting {
-    /// `None`: it has failed, and what it has replaced ends.
-    command: Option<Start>,
+    /// `None`: to take the drive over as it is.
+    command: Option<Command>,
+    /// It has failed, and what it has replaced ends.
+    failed: bool,
     since: Time,
     /// The command before it failed before anything of that left: what that had replaced still has to end.
     quits: bool,
-}
-
-/// What a command asks of the machine.
-#[derive(Clone, Copy, Debug, PartialEq)]
-enum Start {
-    /// To take the drive over as it is.
-    TakeOver,
-    Command(Command),
 }
 
 /// The state of a drive as the master wants it, and how far it is on its way there.
@@ -190,9 +184,8 @@ impl Machine {
 
     /// A new command, in place of the one before; `None`: to take the drive over as it is.
     pub fn start(&mut self, now: Time, command: Option<Command>) {
-        let start = command.map_or(Start::TakeOver, Start::Command);
-        let quits = self.waiting.is_some_and(|before| before.quits || before.command.is_none());
-        self.waiting = Some(Waiting { command: Some(start), since: now, quits });
+        let quits = self.waiting.is_some_and(|before| before.quits || before.failed);
+        self.waiting = Some(Waiting { command, failed: false, since: now, quits });
         self.state.withdraw();
         (self.command, self.end) = (command, None);
         // The others begin without a velocity or torque, until they are given one.
@@ -310,12 +303,12 @@ impl Machine {
         let state = self.state.left_mut();
         let end = match &self.waiting {
             _ if restarted => state.drive_restarted(&view),
+            Some(waiting) if waiting.failed => None,
             // What it replaces has ended for the application.
-            Some(Waiting { command: Some(start), since, .. }) => {
-                let late = now.since(*since) > self.rules.enable_timeout_ns && start.has_a_time_limit();
-                late.then_some(Err(Failure::TimedOut(slot.status.state)))
+            Some(waiting) => {
+                let late = now.since(waiting.since) > self.rules.enable_timeout_ns;
+                (late && waiting.has_a_time_limit()).then_some(Err(Failure::TimedOut(slot.status.state)))
             }
-            Some(Waiting { command: None, .. }) => None,
             None => state.go_on(&view),
         };
         if let Some(end) = end
@@ -323,7 +316,7 @@ impl Machine {
         {
             self.end = Some(end);
             if let Some(waiting) = &mut self.waiting {
-                waiting.command = None;
+                waiting.failed = true;
             }
         }
     }
@@ -366,47 +359,34 @@ impl Waiting {
         if self.quits {
             state.quit(view);
         }
-        let end = self.command.and_then(|start| state.begin(start, self.since, view));
+        let end = if self.failed { None } else { state.begin(self.command, self.since, view) };
         // What is to be taken over may not be known yet.
-        let unknown = view.status.state == Cia402::Unknown;
-        let waits = end.is_none() && unknown && self.command.is_some_and(Start::needs_outputs);
+        let waits = end.is_none() && !self.failed && view.status.state == Cia402::Unknown;
         if matches!(end, Some(Err(_))) {
             // Nothing of it is written, however often this is proposed.
-            self.command = None;
+            self.failed = true;
             let serial = state.serial;
             state = prepared.propose(0);
             (state.serial, state.is_new) = (serial, true);
         }
-        if self.command.is_none() {
+        if self.failed {
             state.quit(view);
         }
         (end, waits)
     }
-}
-
-impl Start {
-    /// It begins from the state that the drive is in.
-    fn needs_outputs(self) -> bool {
-        matches!(self, Start::Command(command) if command != Command::Reset)
-    }
 
     /// It fails if no request with it leaves in time. A stop waits for as long as it takes.
-    fn has_a_time_limit(self) -> bool {
-        matches!(
-            self,
-            Start::Command(Command::Enable | Command::Disable | Command::Home | Command::ResetFault)
-        )
+    fn has_a_time_limit(&self) -> bool {
+        matches!(self.command, Some(Command::Enable | Command::Disable | Command::Home | Command::ResetFault))
     }
 }
 
 impl State {
     /// Begins a command that waits since `since`.
     #[inline(never)]
-    fn begin(&mut self, start: Start, since: Time, view: &View) -> End {
-        if start.needs_outputs()
-            && let Start::Command(command) = start
-        {
-            if let Some(failure) = view.rules.can.lacks.refuses(&command) {
+    fn begin(&mut self, command: Option<Command>, since: Time, view: &View) -> End {
+        if let Some(command) = &command {
+            if let Some(failure) = view.rules.can.lacks.refuses(command) {
                 return self.refuse(failure, view);
             }
             if view.status.state == Cia402::Unknown {
@@ -418,8 +398,9 @@ impl State {
             // The state that the application left the drive in is the present state.
             self.claim(view);
         }
-        let Start::Command(command) = start else { return self.done() };
+        let Some(command) = command else { return self.done() };
         match command {
+            // It asks nothing of the drive.
             Command::Reset => self.done(),
             Command::Disable | Command::Stop { .. } | Command::QuickStop
                 if view.status.state.is_powered()
