@@ -40,7 +40,7 @@ impl State {
         // Its report is one exchange old.
         let position = view.evidence.position + velocity * view.rules.interval_ns as f64 * 1e-9;
         // Its present torque is not the master's.
-        let torque = view.quantity() == Some(Quantity::Torque);
+        let torque = view.rules.quantity == Some(Quantity::Torque);
         Point { position, velocity: if torque { 0.0 } else { velocity } }
     }
 
@@ -215,7 +215,7 @@ impl State {
     }
 
     /// Rows lead it: its course is not theirs, and does not show how they move.
-    fn has_rows(&self) -> bool {
+    pub(super) fn has_rows(&self) -> bool {
         matches!(self.step, Step::Following | Step::FollowEnding { .. })
     }
 

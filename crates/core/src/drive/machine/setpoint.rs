@@ -106,7 +106,7 @@ impl Course {
     /// What the setpoint does while the drive halts.
     pub(super) fn halt(&mut self, most: f64, view: &View) {
         let own = view.evidence.mode == ModeIs::Own;
-        match view.quantity() {
+        match view.rules.quantity {
             // In another mode its setpoint has no effect.
             Some(Quantity::Position) if own => self.run(0.0, self.braking(most, view)),
             // The drive's own ramp acts below it.
@@ -116,7 +116,7 @@ impl Course {
 
     /// The deceleration that is requested, or needed from the last setpoint.
     fn braking(&self, requested: f64, view: &View) -> f64 {
-        match view.quantity() {
+        match view.rules.quantity {
             Some(Quantity::Position) => view.rules.braking(requested, self.demand, 0.0),
             _ => requested,
         }
@@ -174,7 +174,7 @@ impl State {
     /// Chooses the setpoint of the next send.
     #[inline]
     pub(super) fn lead(&mut self, view: &View) -> End {
-        let Some(quantity) = view.quantity() else { return self.lead_rows(view) };
+        let Some(quantity) = view.rules.quantity else { return self.lead_rows(view) };
         let end = self.advance(view);
         let Point { position, velocity } = self.course.next;
         let torque = quantity == Quantity::Torque;
@@ -203,20 +203,21 @@ impl State {
             Step::FollowWaiting | Step::Following | Step::FollowEnding { .. } => self.follow(view),
             _ => None,
         };
-        if matches!(self.step, Step::Following | Step::FollowEnding { .. }) {
+        if self.has_rows() {
             return end;
         }
         let course = &mut self.course;
         let waited = course.sent_at.map_or(view.rules.interval_ns, |sent_at| view.now.since(sent_at));
         // Nothing delays the stop of a velocity or torque; a position must not jump.
         let stops = matches!(self.step, Step::Stopping | Step::Limited(_));
-        let most = match view.quantity() {
+        let most = match view.rules.quantity {
             Some(Quantity::Velocity | Quantity::Torque) if stops => u64::MAX,
             _ => view.rules.interval_ns.saturating_mul(MOST_STEP),
         };
         course.next_ns = course.passed_ns.saturating_add(waited.min(most));
         course.next = course.motion.at(course.next_ns);
-        let is_place = view.quantity() == Some(Quantity::Position) || view.rules.limits.position.is_some();
+        let is_place =
+            view.rules.quantity == Some(Quantity::Position) || view.rules.limits.position.is_some();
         course.is_constant = !is_place && course.motion.is_over(course.next_ns);
         course.level = view.input.level;
         end
@@ -227,7 +228,7 @@ impl State {
         if view.drive_makes_setpoints() {
             return self.brake_by_drive(deceleration, view);
         }
-        let deceleration = match view.quantity() {
+        let deceleration = match view.rules.quantity {
             Some(Quantity::Torque) => {
                 let slope = match self.step {
                     Step::Turning(turning) => turning.acceleration,
@@ -251,7 +252,7 @@ impl State {
     /// Plans the requested velocity or torque, if it changed, up to a position limit.
     #[inline]
     fn turn_on(&mut self, turning: Turning, view: &View) -> End {
-        let quantity = view.quantity();
+        let quantity = view.rules.quantity;
         let velocity = view.rules.within_limit(view.input.level);
         if velocity == turning.velocity {
             return self.watch_limit(turning, view);
@@ -282,7 +283,7 @@ impl State {
     /// A jog that comes to its limit ends there.
     #[inline]
     fn watch_limit(&mut self, turning: Turning, view: &View) -> End {
-        match (view.quantity(), turning.limit) {
+        match (view.rules.quantity, turning.limit) {
             (Some(Quantity::Position), Some(limit)) if self.course.stands() => {
                 self.enter(Step::Limited(limit))
             }

@@ -45,17 +45,17 @@ impl State {
             Step::Native(NativeOwner::Application) => None,
             Step::Enabling { rest } => self.enabling(rest, view),
             Step::Falling => self.falling(view),
-            Step::HomeWaiting
-            | Step::HomeMode
-            | Step::Homing
-            | Step::HomeStopping(_)
-            | Step::HomeLeaving(_) => self.homing(view),
             Step::ResetWaiting | Step::ResetLow | Step::ResetHigh | Step::Resetting | Step::ResetDone => {
                 self.resetting(view)
             }
-            Step::Halting | Step::Released | Step::Halted => self.halting(view),
             Step::TakingOver(command) => self.taking_over(command, view),
-            _ => self.moving(view),
+            // The others need the drive in operation.
+            _ => self.falls(view).unwrap_or_else(|| match self.step {
+                Step::Halting | Step::Released | Step::Halted => self.halting(view),
+                Step::HomeWaiting => self.homing(view),
+                _ if self.is_homing() => self.homing(view),
+                _ => self.moving(view),
+            }),
         }
     }
 
@@ -168,11 +168,8 @@ impl State {
         })
     }
 
-    /// A step that needs the drive in operation.
+    /// A step of a motion.
     fn moving(&mut self, view: &View) -> End {
-        if let Some(end) = self.falls(view) {
-            return end;
-        }
         let follows = matches!(
             self.step,
             Step::Turning(_)
@@ -277,7 +274,7 @@ impl State {
 
     /// It follows torques: without one nothing brakes it.
     pub(super) fn is_free(&self, view: &View) -> bool {
-        view.quantity() == Some(Quantity::Torque) && self.course.leads()
+        view.rules.quantity == Some(Quantity::Torque) && self.course.leads()
     }
 
     /// It runs on at the speed at which it was found, until it follows.
@@ -295,9 +292,6 @@ impl State {
     }
 
     fn halting(&mut self, view: &View) -> End {
-        if let Some(end) = self.falls(view) {
-            return end;
-        }
         if !self.is_accepted(view) {
             return None;
         }
@@ -360,9 +354,6 @@ impl State {
     }
 
     fn homing(&mut self, view: &View) -> End {
-        if let Some(end) = self.falls(view) {
-            return end;
-        }
         let (accepted, evidence) = (self.is_accepted(view), view.evidence);
         match self.step {
             Step::HomeWaiting if accepted && !self.course.leads() => {

@@ -84,10 +84,6 @@ impl<'a> View<'a> {
         self.rules.quantity.is_none()
     }
 
-    pub fn quantity(&self) -> Option<Quantity> {
-        self.rules.quantity
-    }
-
     /// It reports that it is in operation, and what is written counts there.
     pub fn operates(&self) -> bool {
         self.evidence.outputs_count && self.status.state == Cia402::OperationEnabled
