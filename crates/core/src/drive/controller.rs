@@ -35,7 +35,7 @@ use super::journal::{Journal, Note};
 use super::machine::Machine;
 use super::numbers::{DriveNumbers, Extent, Peaks};
 use super::reach::Reach;
-use super::record::{CommandStep, DriveRecord, Measured, MonitorRecord, Reply};
+use super::record::{CommandRecord, CommandStep, DriveRecord, EventRecord, Measured, MonitorRecord, Reply};
 use super::rest::Rest;
 use crate::axis::cell::Writer;
 use crate::axis::newest::NewestOut;
@@ -420,14 +420,14 @@ impl DriveController {
 
     /// Notes for the telemetry that a command was taken, or begins.
     fn note(&mut self, step: CommandStep, queued: &QueuedCommand) {
-        self.queues.journal.command(step, queued);
+        self.queues.journal.note(Note::Command(CommandRecord::new(step, queued)));
         self.measured.noted = true;
     }
 
     #[inline(never)]
     fn emit(&mut self, cycle: &Cycle, now: Time, kind: EventKind) {
         let begun_by = self.feedback.begun_by.filter(|_| kind.is_of_stop_group());
-        self.queues.journal.event(cycle.index, kind, begun_by);
+        self.queues.journal.note(Note::Event(EventRecord::new(cycle.index, 0, kind, begun_by)));
         self.measured.noted = true;
         // Every accepted command ends exactly once: the place for that is kept from all else.
         let kept = if matches!(kind, EventKind::Ended { .. }) { 0 } else { self.queues.room_for_ends };

@@ -3,8 +3,7 @@
 
 use std::collections::VecDeque;
 
-use super::record::{CommandRecord, CommandStep, EventRecord};
-use crate::axis::{BegunBy, EventKind, QueuedCommand};
+use super::record::{CommandRecord, EventRecord};
 use crate::rt::{self, Regions};
 
 /// Room for events that are no ends of commands.
@@ -35,17 +34,8 @@ impl Journal {
         Journal { notes: rt::deque(NOTES_A_COMMAND * commands + EVENTS, regions), lost: 0 }
     }
 
-    /// A command was taken, or begins. Its slot is that of the record which follows.
-    pub(super) fn command(&mut self, step: CommandStep, queued: &QueuedCommand) {
-        self.note(Note::Command(CommandRecord::new(step, queued)));
-    }
-
-    /// An event in slot `index`.
-    pub(super) fn event(&mut self, index: u64, kind: EventKind, begun_by: Option<BegunBy>) {
-        self.note(Note::Event(EventRecord::new(index, 0, kind, begun_by)));
-    }
-
-    fn note(&mut self, note: Note) {
+    /// Takes a note. The slot of a command, and the axis of an event, are filled in when it is taken out.
+    pub(super) fn note(&mut self, note: Note) {
         // Never allocates.
         if self.notes.len() == self.notes.capacity() {
             self.lost += 1;
@@ -73,6 +63,7 @@ impl Journal {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::axis::EventKind;
 
     #[test]
     fn what_finds_no_room_is_counted() {
@@ -80,7 +71,7 @@ mod tests {
         let room = journal.notes.capacity();
         assert!(room >= NOTES_A_COMMAND + EVENTS);
         for _ in 0..room + 2 {
-            journal.event(7, EventKind::Restarted, None);
+            journal.note(Note::Event(EventRecord::new(7, 0, EventKind::Restarted, None)));
         }
         assert_eq!((journal.notes.capacity(), journal.take_lost(), journal.take_lost()), (room, 2, 0));
         let first = journal.take(5, 8);

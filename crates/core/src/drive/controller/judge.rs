@@ -72,7 +72,9 @@ impl DriveController {
         self.measured.was_online = self.feedback.link == Link::Online;
         let jumped = if slot.notices.fresh { self.weigh(slot) } else { None };
         let mut rtt = None;
-        let earlier = if slot.has_earlier { Some(self.judge_earlier(cycle, now, slot)) } else { None };
+        // What ended besides this exchange, and when the request was sent that is reported on, if that is an earlier one.
+        let (ended, reported) =
+            if slot.has_earlier { self.judge_earlier(cycle, now, slot) } else { (None, None) };
         // The usual end of an exchange, in a cycle that has one.
         let reply = if let Exchange::Answered { sent_at, at, suspect: false } = slot.exchange {
             slot.exchange = Exchange::Idle;
@@ -94,14 +96,13 @@ impl DriveController {
             self.take_packet(slot);
             Reply::Current
         } else {
-            let taken = earlier.is_some_and(|earlier| earlier.reported.is_some());
-            let reply = self.judge_otherwise(cycle, now, slot, taken);
+            let reply = self.judge_otherwise(cycle, now, slot, reported.is_some());
             self.health.watch_silence(cycle.index);
             reply
         };
-        let reply = match &earlier {
+        let reply = match &ended {
             None => reply,
-            Some(earlier) => self.with_earlier(reply, earlier, &mut rtt),
+            Some(ended) => self.with_earlier(reply, ended, &mut rtt),
         };
         self.measured.reply = reply;
         if slot.reachable {
@@ -112,8 +113,9 @@ impl DriveController {
             self.bounds.forget();
         }
         self.take_status(cycle, now, slot, rtt);
-        if let Some(sent_at) = earlier.and_then(|earlier| earlier.reported) {
-            self.grow_older(cycle, sent_at);
+        if let Some(sent_at) = reported {
+            let age = cycle.grid.since(sent_at).div_ceil(cycle.period_ns.max(1));
+            self.feedback.grow_older(age.min(cycle.index));
         }
         if self.feedback.link != self.health.link() {
             self.change_link(cycle, now, slot);
@@ -133,8 +135,9 @@ impl DriveController {
 
     /// The exchanges of earlier cycles, oldest first: those whose time is up, and those that were answered.
     #[cold]
-    fn judge_earlier(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) -> EndedEarlier {
-        let Ended { missed, answered, rtt_ns, sent_at } = slot.earlier.end(cycle);
+    fn judge_earlier(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) -> (Option<Ended>, Option<Time>) {
+        let ended = slot.earlier.end(cycle);
+        let Ended { missed, answered, rtt_ns, sent_at } = ended;
         slot.has_earlier = !slot.earlier.open().is_empty();
         slot.counters.missed += u64::from(missed);
         (0..missed).for_each(|_| self.missed(cycle, now));
@@ -151,13 +154,13 @@ impl DriveController {
         if reported.is_some() && !slot.notices.restarted {
             self.take_sample(sent_at, slot);
         }
-        EndedEarlier { missed, answered, rtt_ns, reported }
+        (Some(ended), reported)
     }
 
     /// How a cycle ended in which exchanges of earlier ones ended, too.
     #[cold]
-    fn with_earlier(&mut self, reply: Reply, earlier: &EndedEarlier, rtt: &mut Option<u32>) -> Reply {
-        let EndedEarlier { missed, answered, rtt_ns, .. } = *earlier;
+    fn with_earlier(&mut self, reply: Reply, ended: &Ended, rtt: &mut Option<u32>) -> Reply {
+        let Ended { missed, answered, rtt_ns, .. } = *ended;
         self.misses = missed + u32::from(reply == Reply::Missed);
         if answered > 0 {
             self.measured.rtt_ns = self.measured.rtt_ns.max(measured(rtt_ns));
@@ -168,12 +171,6 @@ impl DriveController {
             Reply::None | Reply::Owed if answered > 0 => Reply::Answered,
             _ => reply,
         }
-    }
-
-    /// The newest report is that of a request of an earlier cycle.
-    #[cold]
-    fn grow_older(&mut self, cycle: &Cycle, sent_at: Time) {
-        self.feedback.grow_older(cycle.grid.since(sent_at).div_ceil(cycle.period_ns.max(1)).min(cycle.index));
     }
 
     /// No exchange was answered for certain. The report was `taken` with an earlier one.
@@ -350,16 +347,6 @@ impl DriveController {
             _ => {}
         }
     }
-}
-
-/// What ended in a cycle besides its own exchange.
-#[derive(Clone, Copy, Debug)]
-struct EndedEarlier {
-    missed: u32,
-    answered: u32,
-    rtt_ns: u64,
-    /// The status of this cycle is that of a request which was sent then, in an earlier one.
-    reported: Option<Time>,
 }
 
 /// What of a status is reported when it changes.

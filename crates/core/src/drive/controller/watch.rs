@@ -36,9 +36,9 @@ impl DriveController {
         if std::mem::take(&mut slot.notices.other_master) {
             self.stop(cycle, now, StopCause::OtherMaster);
         }
-        if std::mem::take(&mut slot.notices.fresh) {
-            let follows = self.duty.follows();
-            if follows.is_led && self.feedback.status.state == State::OperationEnabled {
+        let fresh = std::mem::take(&mut slot.notices.fresh);
+        if fresh {
+            if self.duty.follows().is_led && self.feedback.status.state == State::OperationEnabled {
                 // It is where it is expected, and what leads it is checked before it is sent.
                 self.rest.interrupt();
                 if self.bounds.strays(&self.plan.units) && self.is_to_follow() {
@@ -50,11 +50,9 @@ impl DriveController {
             } else {
                 self.watch_any(cycle, now, slot, restarted);
             }
-            if self.duty.follows().stops {
-                self.watch_stop(cycle, now, true);
-            }
-        } else if self.duty.follows().stops {
-            self.watch_stop(cycle, now, false);
+        }
+        if self.duty.follows().stops {
+            self.watch_stop(cycle, now, fresh);
         }
     }
 
