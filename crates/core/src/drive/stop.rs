@@ -108,14 +108,6 @@ impl StopSequence {
         (sequence, command)
     }
 
-    /// Starts it by the drive's quick stop: no ramp would stop this axis.
-    pub fn start_escalated(plan: StopPlan, load: Load, now: Time, velocity: f64) -> (StopSequence, Command) {
-        let (mut sequence, _) = StopSequence::start(plan, load, now, velocity);
-        sequence.escalated = true;
-        let command = sequence.begin(now, velocity);
-        (sequence, command)
-    }
-
     /// Starts it once more for an axis that moves although the sequence was complete: by the drive's quick stop, and in
     /// the end by power off, if a stop that does not end may.
     pub fn again(&mut self, now: Time, velocity: f64) -> Command {
@@ -123,20 +115,30 @@ impl StopSequence {
         self.seen_off = false;
         self.moved = self.moved.saturating_add(1);
         if self.moved >= MOST_MOVED && self.plan.on_timeout == StopTimeout::Disable {
-            self.phase = Phase::Disabling { since: now };
-            return Command::Disable;
+            return self.disable(now);
         }
         self.begin(now, velocity)
     }
 
     fn begin(&mut self, now: Time, velocity: f64) -> Command {
         if self.plan.how == StopHow::Coast {
-            self.phase = Phase::Disabling { since: now };
-            return Command::Disable;
+            return self.disable(now);
         }
         self.from = velocity;
         self.phase = Phase::Braking { since: now, still: 0 };
         self.brake(velocity)
+    }
+
+    fn disable(&mut self, now: Time) -> Command {
+        self.phase = Phase::Disabling { since: now };
+        Command::Disable
+    }
+
+    /// Brakes by the drive's quick stop, from now on.
+    fn escalate(&mut self, now: Time) -> Command {
+        self.escalated = true;
+        self.phase = Phase::Braking { since: now, still: 0 };
+        Command::QuickStop
     }
 
     /// The command of the first phase.
@@ -226,9 +228,7 @@ impl StopSequence {
                     && sight.velocity.abs() > SLOWED * self.from
                     && now.since(since) > nanos(self.plan.timeout / SLOWED_WITHIN);
                 if (sight.failed || no_slower) && !self.escalated {
-                    self.escalated = true;
-                    self.phase = Phase::Braking { since: now, still: 0 };
-                    return Some(Command::QuickStop);
+                    return Some(self.escalate(now));
                 }
                 if back {
                     // Requests sent while nothing was received are repeated.
@@ -242,15 +242,17 @@ impl StopSequence {
                 } else if late(since) && (sight.answers || self.ending) {
                     if !std::mem::replace(&mut self.escalated, true) && sight.answers {
                         // The ramp had its time; the quick stop has as much.
-                        self.phase = Phase::Braking { since: now, still: 0 };
-                        return Some(Command::QuickStop);
+                        return Some(self.escalate(now));
                     }
                     self.plan.on_timeout == StopTimeout::Disable
                 } else {
                     return None;
                 };
-                self.phase = if power_off { Phase::Disabling { since: now } } else { Phase::Holding };
-                power_off.then_some(Command::Disable)
+                if power_off {
+                    return Some(self.disable(now));
+                }
+                self.phase = Phase::Holding;
+                None
             }
             Phase::Disabling { since } => {
                 // A report from before the request is no answer.
@@ -269,20 +271,10 @@ impl StopSequence {
     /// Shortens the waits (a second Ctrl-C): the fastest controlled stop, and little time left for it. Never skips
     /// it.
     pub fn hurry(&mut self, now: Time) -> Option<Command> {
-        let timeout = self.plan.timeout.min(HURRIED);
-        match self.phase {
-            Phase::Braking { .. } => {
-                self.plan.timeout = timeout;
-                self.escalated = true;
-                self.phase = Phase::Braking { since: now, still: 0 };
-                Some(Command::QuickStop)
-            }
-            Phase::Disabling { .. } => {
-                self.plan.timeout = timeout;
-                None
-            }
-            Phase::Holding | Phase::Off => None,
+        if !self.is_down() {
+            self.plan.timeout = self.plan.timeout.min(HURRIED);
         }
+        self.is_braking().then(|| self.escalate(now))
     }
 }
 

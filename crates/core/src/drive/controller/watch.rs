@@ -4,7 +4,7 @@ use super::duty::{Claim, Latch};
 use super::{Along, DriveController, Ending};
 use crate::axis::{
     Abort, BegunBy, Command, EventKind, FollowingError, FoundRunning, GroupCall, Link, Outcome, State,
-    StopCause, StopThen,
+    StopCause, StopHow, StopThen,
 };
 use crate::bus::{Cycle, Slot};
 use crate::drive::at_end::{AtEnd, Known, Requested};
@@ -124,10 +124,7 @@ impl DriveController {
             return self.stop_again(cycle, now, StopCause::StopTimeout);
         }
         self.latch(cycle, now, StopCause::StopTimeout);
-        let (stop, load) = (self.plan.stop, self.plan.load);
-        let (sequence, command) = StopSequence::start_escalated(stop, load, now, self.speed());
-        self.duty.set_latch(Latch::Down(StopCause::StopTimeout, sequence));
-        self.issue(Some(command));
+        self.brake(now, Braked::ByTheDrive, RequestedEnd::default());
     }
 
     /// Why an axis that is expected to stay in operation is not.
@@ -274,8 +271,10 @@ impl DriveController {
         }
         // No ramp of velocities brakes a drive that follows torques: it would only lose its torque along the slope.
         let by_the_drive = braked == Braked::ByTheDrive || self.duty.is_under_torque() || requested.quick;
-        let start = if by_the_drive { StopSequence::start_escalated } else { StopSequence::start };
-        let (sequence, command) = start(stop, self.plan.load, now, self.speed());
+        if by_the_drive && stop.how == StopHow::Ramp {
+            stop.how = StopHow::Quick;
+        }
+        let (sequence, command) = StopSequence::start(stop, self.plan.load, now, self.speed());
         self.duty.set_latch(Latch::Down(cause, sequence));
         self.issue(Some(command));
     }
