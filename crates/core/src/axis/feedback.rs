@@ -283,11 +283,6 @@ impl Shown {
         bit(a) | bit(b) << 1 | bit(c) << 2 | bit(d) << 3
     }
 
-    /// Whether no channel has a value.
-    pub fn is_empty(&self) -> bool {
-        self.mask == 0
-    }
-
     /// The value of each channel.
     pub fn values(&self) -> [Option<f64>; MONITOR_CHANNELS] {
         std::array::from_fn(|channel| (self.mask >> channel & 1 != 0).then_some(self.values[channel]))

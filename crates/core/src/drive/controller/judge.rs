@@ -3,7 +3,7 @@
 use super::duty::Claim;
 use super::watch::Braked;
 use super::{Along, DriveController, Ending};
-use crate::axis::{Command, DriveStatus, EventKind, Link, Shown, State, StopCause};
+use crate::axis::{Command, DriveStatus, EventKind, Link, State, StopCause};
 use crate::bus::contract::Ended;
 use crate::bus::{Cycle, Exchange, Slot};
 use crate::drive::bounds::Sample;
@@ -276,7 +276,7 @@ impl DriveController {
     #[inline(never)]
     fn take_monitored(&mut self) {
         let monitor = self.feedback.status.monitor;
-        self.shows = !Shown::from(monitor).is_empty();
+        self.shows = monitor.iter().any(Option::is_some);
         for (extent, value) in self.monitor.iter_mut().zip(monitor) {
             if let Some(value) = value.filter(|value| !value.is_nan()) {
                 Extent::see(extent, value);
