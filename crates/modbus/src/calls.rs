@@ -1,11 +1,11 @@
 //! Acyclic calls on the connection of the cyclic exchange: each takes the place of one exchange now and then; the
 //! other exchanges continue.
 
-use super::notation::{NOT_TAKEN, READ, Target, UNREACHABLE, WRITE};
+use super::notation::{NOT_TAKEN, Service, Target, UNREACHABLE};
 use super::parameter::{Addressing, Parameter, Width};
 use super::wire::{REGISTERS_MAX, Registers, RegistersBuffer, Request, Response};
 use fieldbeat_core::axis::Link;
-use fieldbeat_core::axis::acyclic::long::{self, Kept, LOAD, PART, READ_SEVERAL, SIZE, STORE};
+use fieldbeat_core::axis::acyclic::long::{self, Kept, LOAD, PART, SIZE};
 use fieldbeat_core::axis::acyclic::{Answer, Call, CallError, Commanding, Port, Posted};
 use fieldbeat_core::rt::Regions;
 use fieldbeat_core::time::Time;
@@ -29,15 +29,19 @@ pub(super) fn commanding(mapped: impl IntoIterator<Item = Parameter>) -> Command
 /// Why a call of the application is refused while the power of its drive is on: it writes a parameter that is
 /// exchanged, or none that is known to be harmless. Of a block none is written then.
 fn refusal(call: &Call, mapped: &[u32]) -> Option<CallError> {
-    let target = Target::unpack(call.address)?;
-    let commands = |place: &u32| {
+    let (target, written, several) = match Service::of(call)? {
+        Service::Read(_) | Service::ReadSeveral(..) => return None,
+        Service::Write(target, _) => (target, 1, false),
+        Service::Store(target, bytes) => (target, bytes.div_ceil(target.width.bytes() as u64), true),
+    };
+    let commands = |place: &u64| {
         let parameter = u8::try_from(*place).ok().and_then(|place| target.parameter.offset(place));
         let is_mapped = |parameter| mapped.contains(&Target { parameter, width: Width::Word }.pack());
         parameter.is_none_or(|parameter| is_mapped(parameter) || !is_harmless(parameter))
     };
     // The first one that commands is soon found: few that do not follow one another.
-    let place = (0..target.written(call)).find(commands)?;
-    Some(if call.service == WRITE { CallError::Commands } else { CallError::CommandsAt(place) })
+    let place = (0..written).find(commands)?;
+    Some(if several { CallError::CommandsAt(place as u32) } else { CallError::Commands })
 }
 
 /// Written while power is on, it moves nothing, and changes no state: rates of ramps, thresholds, gains and limits. All
@@ -72,11 +76,11 @@ pub(super) struct Calls {
 #[derive(Clone, Copy, Debug)]
 struct Active {
     posted: Posted,
+    service: Service,
     target: Target,
     address: u16,
     /// Of all its parameters.
     registers: u16,
-    writes: bool,
     begun: Time,
     sent: bool,
 }
@@ -144,46 +148,38 @@ impl Calls {
 
     /// A call that needs a request; `None`: it has none.
     fn begin(&self, now: Time, posted: Posted) -> Option<Active> {
-        let call = posted.call;
-        let target = Target::unpack(call.address)?;
-        let each = target.width.registers();
-        let parameters = match call.service {
-            READ | WRITE => 1,
-            READ_SEVERAL => call.value,
-            STORE => {
-                let (bytes, each) = (self.block.whole(&posted)?.len(), 2 * usize::from(each));
+        let service = Service::of(&posted.call)?;
+        let (target, parameters) = match service {
+            Service::Read(target) | Service::Write(target, _) => (target, 1),
+            Service::ReadSeveral(target, count) => (target, count),
+            Service::Store(target, _) => {
+                let (bytes, each) = (self.block.whole(&posted)?.len(), target.width.bytes());
                 if !bytes.is_multiple_of(each) {
                     return None;
                 }
-                (bytes / each) as u64
+                (target, (bytes / each) as u64)
             }
-            _ => return None,
         };
+        let each = target.width.registers();
         let registers = u16::try_from(parameters).ok()?.checked_mul(each);
         let registers = registers.filter(|registers| (1..=REGISTERS_MAX).contains(registers))?;
         // The last parameter of the block is one of the same menu.
         let last = target.parameter.offset((registers / each - 1) as u8)?;
         last.address(self.addressing, target.width)?;
         let address = target.parameter.address(self.addressing, target.width)?;
-        let writes = matches!(call.service, WRITE | STORE);
-        Some(Active { posted, target, address, registers, writes, begun: now, sent: false })
+        Some(Active { posted, service, target, address, registers, begun: now, sent: false })
     }
 
     /// The request of the active call, and the unit id for it in a drive that is `drive` itself.
     pub(super) fn request<'a>(&self, drive: u8, data: &'a mut RegistersBuffer) -> Option<(u8, Request<'a>)> {
-        let Active { posted, target, address, registers, writes, .. } = self.active?;
+        let Active { posted, service, target, address, registers, .. } = self.active?;
         let unit = target.parameter.unit(drive);
-        if !writes {
-            return Some((unit, Request::Read { address, count: registers }));
-        }
-        if posted.call.service == STORE {
-            data.push_all(self.block.whole(&posted).and_then(Registers::new)?);
-            return Some((unit, Request::Write { address, data: data.registers() }));
-        }
-        let raw = posted.call.value as u32;
-        match target.width {
-            Width::Word => data.push_word(raw as u16),
-            Width::Long => data.push_long(raw as i32),
+        match service {
+            Service::Read(_) | Service::ReadSeveral(..) => {
+                return Some((unit, Request::Read { address, count: registers }));
+            }
+            Service::Write(_, raw) => data.push_raw(target.width, raw),
+            Service::Store(..) => data.push_all(self.block.whole(&posted).and_then(Registers::new)?),
         };
         Some((unit, Request::Write { address, data: data.registers() }))
     }
@@ -206,11 +202,12 @@ impl Calls {
     /// Whether this response can be that of the call that was sent.
     pub(super) fn fits(&self, response: &Response<'_>) -> bool {
         let Some(active) = self.active.filter(|active| active.sent) else { return true };
+        let writes = matches!(active.service, Service::Write(..) | Service::Store(..));
         match *response {
             Response::Exception { .. } => true,
-            Response::Read { data } => !active.writes && data.len() == usize::from(active.registers),
+            Response::Read { data } => !writes && data.len() == usize::from(active.registers),
             Response::Written { address, count } => {
-                active.writes && address == active.address && count <= active.registers
+                writes && address == active.address && count <= active.registers
             }
             _ => false,
         }
@@ -222,22 +219,21 @@ impl Calls {
         let Some(active) = self.active.filter(|active| active.sent) else { return };
         let address = active.posted.call.address;
         let done = |value: u64| Ok(Answer { status: 0, address, value });
-        let result = match *response {
-            Response::Exception { code, .. } => Err(CallError::Refused(code.0.into())),
-            Response::Read { data } if active.posted.call.service == READ_SEVERAL => {
+        let result = match (*response, active.service) {
+            (Response::Exception { code, .. }, _) => Err(CallError::Refused(code.0.into())),
+            (Response::Read { data }, Service::ReadSeveral(..)) => {
                 self.block = Kept::of_read(&active.posted, data.bytes().len(), data.bytes());
                 done(long::raw(data.bytes()))
             }
             // It has taken those in front of the first one that it refuses.
-            Response::Written { count, .. } if active.posted.call.service == STORE => {
+            (Response::Written { count, .. }, Service::Store(..)) => {
                 let status = if count < active.registers { NOT_TAKEN } else { 0 };
                 Ok(Answer { status, address, value: 2 * u64::from(count) })
             }
-            Response::Read { data } => match active.target.width {
-                Width::Word => done(u64::from(data.word(0).unwrap_or_default())),
-                Width::Long => done(u64::from(data.long(0).unwrap_or_default() as u32)),
-            },
-            Response::Written { count, .. } if count < active.registers => Err(CallError::Refused(NOT_TAKEN)),
+            (Response::Read { data }, _) => done(data.raw(active.target.width, 0).unwrap_or_default().into()),
+            (Response::Written { count, .. }, _) if count < active.registers => {
+                Err(CallError::Refused(NOT_TAKEN))
+            }
             _ => done(active.posted.call.value),
         };
         self.end(result);

@@ -322,13 +322,9 @@ impl UnidriveHandshake {
                 let block = &self.direct.reads()[index];
                 let Some(data) = values else { return surprised() };
                 for (place, role) in block.roles.iter().enumerate() {
-                    let value = match block.width {
-                        Width::Word => data.word(place).map(|word| i32::from(word as i16)),
-                        Width::Long => data.long(place),
-                    };
-                    let Some(value) = value else { return surprised() };
+                    let Some(raw) = data.raw(block.width, place) else { return surprised() };
                     if let Some(index) = role.index() {
-                        self.image.set(index, value);
+                        self.image.set(index, block.width.number(raw, true) as i32);
                     }
                 }
                 if index + 1 < self.direct.reads().len() {

@@ -14,17 +14,15 @@
 //! | `true`, `false` | 1, 0 |
 //!
 //! Parameters of one menu that follow one another are read or written in one request: a [`Block`], with the services of
-//! [`long`], and their values as in a message.
+//! `long`, and their values as in a message.
 //!
-//! In a [`Call`] the service is [`READ`] or [`WRITE`], the address a packed [`Target`], the value the raw bits of a
-//! count. The status of its answer is 0, the drive's exception code, or one of [`NOT_TAKEN`] and [`UNREACHABLE`].
+//! A [`Call`] is a [`Service`]. The status of its answer is 0, the drive's exception code, or one of [`NOT_TAKEN`] and [`UNREACHABLE`].
 
 mod list;
 
 use super::parameter::{Parameter, SLOT_MAX, Width, catalogue};
 use super::wire::{ExceptionCode, REGISTERS_MAX};
-use fieldbeat_core::axis::acyclic::long;
-pub use fieldbeat_core::axis::acyclic::long::{READ, WRITE};
+use fieldbeat_core::axis::acyclic::long::{READ, READ_SEVERAL, STORE, WRITE};
 use fieldbeat_core::axis::acyclic::{
     Block, Call, ListError, Listing, Notation, NotationError, Quantity, Wanted, bits, count, shown, within,
 };
@@ -36,7 +34,7 @@ pub const NOT_TAKEN: u32 = 0x100;
 /// sent.
 pub const UNREACHABLE: u32 = 0x101;
 
-/// The parameter that a call reads or writes.
+/// The parameter that a call reads or writes, or the first of several.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Target {
     /// The parameter.
@@ -70,16 +68,6 @@ impl Target {
         Some(Target { parameter: Parameter { slot, menu, number }, width })
     }
 
-    /// The call that reads it.
-    pub const fn read(self) -> Call {
-        Call { service: READ, address: self.pack(), value: 0 }
-    }
-
-    /// The call that writes these raw bits to it.
-    pub const fn write(self, raw: u32) -> Call {
-        Call { service: WRITE, address: self.pack(), value: raw as u64 }
-    }
-
     /// As people write it.
     pub fn parse(text: &str) -> Option<Target> {
         let (parameter, width) = Target::parts(text)?;
@@ -97,16 +85,6 @@ impl Target {
         Some((parameter, width))
     }
 
-    /// The parameters that a call writes in one request, from this one on: how many there are; 0: it is no such call.
-    pub(super) fn written(self, call: &Call) -> u32 {
-        let each = 2 * u64::from(self.width.registers());
-        match call.service {
-            WRITE => 1,
-            long::STORE => u32::try_from(call.value.div_ceil(each)).unwrap_or(u32::MAX),
-            _ => 0,
-        }
-    }
-
     /// Whether its values have a sign. Those of unknown parameters do, as most have.
     fn signed(self) -> bool {
         self.parameter.known().is_none_or(|known| known.signed)
@@ -122,6 +100,45 @@ impl Target {
             Ok(raw) if self.width.raw(raw.into()) == raw => self.number(raw),
             _ => i64::try_from(bits).unwrap_or(i64::MAX),
         }
+    }
+}
+
+/// What a call asks of the drive. Other services are answered without it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Service {
+    /// Reads a parameter.
+    Read(Target),
+    /// Writes the raw bits of a count.
+    Write(Target, u32),
+    /// Reads so many parameters in a row.
+    ReadSeveral(Target, u64),
+    /// Writes parameters in a row, so many bytes that were handed over before.
+    Store(Target, u64),
+}
+
+impl Service {
+    /// That of a call; `None`: the drive is not asked, or the address is invalid.
+    pub fn of(&Call { service, address, value }: &Call) -> Option<Service> {
+        let target = Target::unpack(address)?;
+        Some(match service {
+            READ => Service::Read(target),
+            WRITE => Service::Write(target, value as u32),
+            READ_SEVERAL => Service::ReadSeveral(target, value),
+            STORE => Service::Store(target, value),
+            _ => return None,
+        })
+    }
+}
+
+impl From<Service> for Call {
+    fn from(service: Service) -> Call {
+        let (service, target, value) = match service {
+            Service::Read(target) => (READ, target, 0),
+            Service::Write(target, raw) => (WRITE, target, raw.into()),
+            Service::ReadSeveral(target, count) => (READ_SEVERAL, target, count),
+            Service::Store(target, bytes) => (STORE, target, bytes),
+        };
+        Call { service, address: target.pack(), value }
     }
 }
 
@@ -158,7 +175,7 @@ impl Notation for Parameters {
     }
 
     fn read(&self, address: &str) -> Result<Call, NotationError> {
-        Parameters::find(address).map(Target::read)
+        Parameters::find(address).map(|target| Service::Read(target).into())
     }
 
     fn write(&self, address: &str, value: u64) -> Result<Call, NotationError> {
@@ -168,7 +185,7 @@ impl Notation for Parameters {
         let fits =
             |raw: u32| width.raw(raw.into()) == raw || width.number(raw, true) == i64::from(raw as i32);
         match u32::try_from(value) {
-            Ok(raw) if fits(raw) => Ok(target.write(width.raw(raw.into()))),
+            Ok(raw) if fits(raw) => Ok(Service::Write(target, width.raw(raw.into())).into()),
             _ => {
                 let form = format!("a number of {} bits", width.bits());
                 Err(NotationError::Value { value: value.to_string(), form })
@@ -248,7 +265,7 @@ impl Notation for Parameters {
         Ok(Block {
             addresses: all.iter().map(|parameter| format!("{parameter}{}", suffix(parameter))).collect(),
             address: Target { parameter: first, width }.pack(),
-            bytes: 2 * usize::from(width.registers()),
+            bytes: width.bytes(),
         })
     }
 

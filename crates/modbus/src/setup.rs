@@ -30,18 +30,12 @@ pub(super) struct Setting {
 impl Setting {
     /// The drive's value, as read.
     pub(super) fn read(&self, data: Registers<'_>) -> Option<i32> {
-        match self.width {
-            Width::Word => data.word(0).map(i32::from),
-            Width::Long => data.long(0),
-        }
+        data.raw(self.width, 0).map(u32::cast_signed)
     }
 
     /// The request that writes `value` to it.
     pub(super) fn write<'a>(&self, value: i32, data: &'a mut RegistersBuffer) -> Request<'a> {
-        match self.width {
-            Width::Word => data.push_word(value as u16),
-            Width::Long => data.push_long(value),
-        };
+        data.push_raw(self.width, value.cast_unsigned());
         Request::Write { address: self.address, data: data.registers() }
     }
 }

@@ -21,12 +21,11 @@
 mod list;
 
 use super::catalogue::{DECIMALS, Known};
-use super::target::{Kind, Parameter, Target, reason};
+use super::target::{Kind, Parameter, Service, Target, reason};
 use super::wire::msac1::Record;
-use fieldbeat_core::axis::acyclic::long::{self, READ, STORE, WRITE};
 use fieldbeat_core::axis::acyclic::{
     Call, CallError, Carrier, Integer, ListError, Listing, Notation, NotationError, Quantity, Series, Wanted,
-    bits, count, in_unit, shown, within,
+    bits, count, in_unit, long, shown, within,
 };
 
 const FORM: &str = "C0061 (a code), C0039/2 (with a subcode), C0150.u16 (with a kind: u8, i8, u16, i16, u32, \
@@ -63,19 +62,13 @@ impl Target {
     }
 
     /// The type of a value that is a number.
-    fn integer(self) -> Option<Integer> {
-        match self {
-            Target::Parameter(parameter) => parameter.kind().integer(),
-            Target::Record(_) => None,
-        }
+    pub(super) fn integer(self) -> Option<Integer> {
+        self.parameter()?.kind().integer()
     }
 
     /// Decimals and unit.
     fn scale(self) -> (u32, &'static str) {
-        match self {
-            Target::Parameter(parameter) => parameter.scale(),
-            Target::Record(_) => (0, ""),
-        }
+        self.parameter().map_or((0, ""), Parameter::scale)
     }
 
     /// A number as people read it, with these decimals and this unit.
@@ -94,14 +87,11 @@ impl Target {
 
     /// Its type and its decimals are those of most codes.
     fn is_assumed(self) -> bool {
-        matches!(self, Target::Parameter(Parameter { kind: Kind::Own, .. })) && self.known().is_none()
+        self.parameter().is_some_and(|parameter| parameter.kind == Kind::Own) && self.known().is_none()
     }
 
     fn known(self) -> Option<&'static Known> {
-        match self {
-            Target::Parameter(parameter) => parameter.known(),
-            Target::Record(_) => None,
-        }
+        self.parameter()?.known()
     }
 
     /// What is no number, from text.
@@ -151,17 +141,17 @@ impl Notation for Codes {
     }
 
     fn read(&self, address: &str) -> Result<Call, NotationError> {
-        Ok(Call { service: READ, address: find(address)?.pack(), value: 0 })
+        Ok(Service::Read(find(address)?).into())
     }
 
     fn write(&self, address: &str, value: u64) -> Result<Call, NotationError> {
         let target = writable(address)?;
         let Some(integer) = target.integer() else {
             // It has its own size: it goes in parts, and never by this call alone.
-            return Ok(Call { service: STORE, address: target.pack(), value: 0 });
+            return Ok(Service::Store(target, 0).into());
         };
         match integer.number_within(value, integer.range()) {
-            Some(number) => Ok(Call { service: WRITE, address: target.pack(), value: integer.raw(number) }),
+            Some(number) => Ok(Service::Write(target, integer.raw(number) as u32).into()),
             None => Err(NotationError::Value { value: value.to_string(), form: form(target) }),
         }
     }
@@ -217,7 +207,7 @@ impl Notation for Codes {
 
     fn read_long(&self, carrier: &dyn Carrier, address: &str) -> Option<Result<(u64, String), CallError>> {
         let target = Target::parse(address)?;
-        let call = Call { service: READ, address: target.pack(), value: 0 };
+        let call = Service::Read(target).into();
         if target.integer().is_some() {
             let Series { answers, failed } = carrier.run(&[call], self.limit(&call));
             let Some(answer) = answers.first() else { return Some(Err(failed.unwrap_or(CallError::Gone))) };

@@ -2,8 +2,8 @@
 //!
 //! | target | services | value |
 //! |---|---|---|
-//! | a code as a number | [`READ`](long::READ), [`WRITE`](long::WRITE) | the raw bits of its kind |
-//! | a code as a text, a record | [`READ`](long::READ), then [`SIZE`](long::SIZE) and [`PART`](long::PART); [`LOAD`](long::LOAD), then [`STORE`](long::STORE) | bytes |
+//! | a code as a number | `READ`, `WRITE` | the raw bits of its kind |
+//! | a code as a text, a record | `READ`, then `SIZE` and `PART`; `LOAD`, then `STORE` | bytes |
 
 use std::borrow::Cow;
 
@@ -14,7 +14,8 @@ use super::wire::errors::ErrorNumber;
 use super::wire::fc;
 pub use super::wire::job::Kind;
 use super::wire::msac1::{Record, Refusal};
-use fieldbeat_core::axis::acyclic::{Call, CallError, Commanding, long};
+use fieldbeat_core::axis::acyclic::long::{READ, STORE, WRITE};
+use fieldbeat_core::axis::acyclic::{Call, CallError, Commanding};
 
 /// A code of the drive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -45,10 +46,8 @@ impl Parameter {
 /// The address of a call behind its answer, which says what its value is: where the address itself does not, and the
 /// catalogue says something else.
 pub(super) fn learned(address: u32, kind: Kind) -> u32 {
-    match Target::unpack(address) {
-        Some(Target::Parameter(own))
-            if own.kind == Kind::Own && !matches!(kind, Kind::Own) && kind != own.kind() =>
-        {
+    match Target::unpack(address).and_then(Target::parameter) {
+        Some(own) if own.kind == Kind::Own && kind != Kind::Own && kind != own.kind() => {
             Target::Parameter(Parameter { kind, ..own }).pack()
         }
         _ => address,
@@ -66,7 +65,7 @@ impl Numbers {
     }
 }
 
-/// What a call is for.
+/// What a call reads or writes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Target {
     /// A code.
@@ -90,6 +89,14 @@ impl Target {
         }
     }
 
+    /// The code, if it is one.
+    pub(super) fn parameter(self) -> Option<Parameter> {
+        match self {
+            Target::Parameter(parameter) => Some(parameter),
+            Target::Record(_) => None,
+        }
+    }
+
     /// From the address of a call; `None`: it is invalid.
     pub fn unpack(address: u32) -> Option<Target> {
         match address.to_be_bytes() {
@@ -102,6 +109,53 @@ impl Target {
     }
 }
 
+/// What a call asks of the drive. Other services are answered without it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Service {
+    /// Reads it.
+    Read(Target),
+    /// Writes the raw bits of a number to it.
+    Write(Target, u32),
+    /// Writes so many bytes to it that were handed over before.
+    Store(Target, u64),
+}
+
+impl Service {
+    /// That of a call; `None`: the drive is not asked, or the address is invalid.
+    pub fn of(&Call { service, address, value }: &Call) -> Option<Service> {
+        let target = Target::unpack(address)?;
+        Some(match service {
+            READ => Service::Read(target),
+            WRITE => Service::Write(target, value as u32),
+            STORE => Service::Store(target, value),
+            _ => return None,
+        })
+    }
+
+    /// It writes.
+    pub(super) fn writes(self) -> bool {
+        !matches!(self, Service::Read(_))
+    }
+
+    /// What it reads or writes.
+    pub(super) fn target(self) -> Target {
+        match self {
+            Service::Read(target) | Service::Write(target, _) | Service::Store(target, _) => target,
+        }
+    }
+}
+
+impl From<Service> for Call {
+    fn from(service: Service) -> Call {
+        let (service, target, value) = match service {
+            Service::Read(target) => (READ, target, 0),
+            Service::Write(target, raw) => (WRITE, target, raw.into()),
+            Service::Store(target, bytes) => (STORE, target, bytes),
+        };
+        Call { service, address: target.pack(), value }
+    }
+}
+
 /// The calls that command a drive.
 pub(super) fn commanding() -> Commanding {
     Commanding::new(refusal, [])
@@ -110,12 +164,10 @@ pub(super) fn commanding() -> Commanding {
 /// Why a call of the application is refused while the power of its drive is on: it writes what is not known to be
 /// harmless.
 fn refusal(call: &Call, _mapped: &[u32]) -> Option<CallError> {
-    let writes = matches!(call.service, long::WRITE | long::STORE);
-    let is_harmless = match Target::unpack(call.address)? {
-        Target::Parameter(parameter) => HARMLESS.contains(&parameter.code),
-        Target::Record(_) => false,
-    };
-    (writes && !is_harmless).then_some(CallError::Commands)
+    let service = Service::of(call)?;
+    let is_harmless = |parameter: Parameter| HARMLESS.contains(&parameter.code);
+    let commands = service.writes() && !service.target().parameter().is_some_and(is_harmless);
+    commands.then_some(CallError::Commands)
 }
 
 /// Written while power is on, they move nothing, and change no state: automatic saving (C0003; sheet, 2), and the time
@@ -232,6 +284,7 @@ pub(super) fn reason(status: u32) -> Cow<'static, str> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use fieldbeat_core::axis::acyclic::long::{LOAD, PART};
 
     #[test]
     fn a_status_says_which_of_the_ways_refused() {
@@ -271,6 +324,9 @@ mod tests {
         }
         let record = Target::Record(Record { slot: 1, index: 255 });
         assert_eq!(Target::unpack(record.pack()), Some(record));
+        for service in [Service::Read(record), Service::Write(record, 7), Service::Store(record, 8)] {
+            assert_eq!(Service::of(&service.into()), Some(service));
+        }
         assert_eq!((Target::unpack(0x0800_0000), Target::unpack(0xFF01_0000)), (None, None));
         let code = |code| Target::Parameter(Parameter { code, sub: 0, kind: Kind::Own });
         let record = Target::Record(Record { slot: 0, index: 47 });
@@ -278,10 +334,10 @@ mod tests {
             refusal(&Call { service, address: target.pack(), value: 0 }, &[]).is_some()
         };
         for target in [code(39), code(11), code(13), code(135), record] {
-            let services = [long::WRITE, long::STORE, long::READ, long::LOAD, long::PART];
+            let services = [WRITE, STORE, READ, LOAD, PART];
             let expected = [true, true, false, false, false];
             assert_eq!(services.map(|service| refused(target, service)), expected, "{target:?}");
         }
-        assert!(HARMLESS.iter().all(|harmless| !refused(code(*harmless), long::WRITE)));
+        assert!(HARMLESS.iter().all(|harmless| !refused(code(*harmless), WRITE)));
     }
 }

@@ -4,7 +4,7 @@
 
 use fieldbeat::bus::modbus::{Addressing, Parameter};
 use fieldbeat_core::axis::acyclic::Notation;
-use fieldbeat_modbus::notation::{Parameters, Target};
+use fieldbeat_modbus::notation::{Parameters, Service, Target};
 use fieldbeat_modbus::wire::{
     ADU_MAX, FrameError, HEADER, Header, Registers, Request, RequestFault, Response, ResponseError, frame,
 };
@@ -118,11 +118,11 @@ fn addresses(data: &[u8]) {
 fn notation(text: &str) {
     let (address, value) = text.split_once(' ').unwrap_or((text, ""));
     let target = Target::parse(address);
-    assert_eq!(Parameters.read(address).ok(), target.map(Target::read));
+    assert_eq!(Parameters.read(address).ok(), target.map(|target| Service::Read(target).into()));
     let Ok(raw) = Parameters.value(address, value) else { return };
     let target = target.expect("a value is one of an address");
     assert_eq!(Target::unpack(target.pack()), Some(target));
-    assert_eq!(Parameters.write(address, raw), Ok(target.write(raw as u32)));
+    assert_eq!(Parameters.write(address, raw), Ok(Service::Write(target, raw as u32).into()));
     let number = Parameters.number(address, raw);
     assert_eq!(Parameters.value(address, &number.to_string()), Ok(raw), "its number says the same");
     assert_eq!(Parameters.value(address, &format!("0x{raw:X}")), Ok(raw), "its bits say the same");

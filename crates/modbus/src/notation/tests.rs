@@ -187,6 +187,15 @@ proptest! {
         let width = if long { Width::Long } else { Width::Word };
         let target = Target { parameter: Parameter { slot, menu, number }, width };
         prop_assert_eq!(Target::unpack(target.pack()), Some(target));
+        let all = [
+            Service::Read(target),
+            Service::Write(target, u32::MAX),
+            Service::ReadSeveral(target, 3),
+            Service::Store(target, 8),
+        ];
+        for service in all {
+            prop_assert_eq!(Service::of(&service.into()), Some(service));
+        }
     }
 
     #[test]

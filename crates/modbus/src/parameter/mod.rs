@@ -87,6 +87,11 @@ impl Width {
         }
     }
 
+    /// Bytes of a value.
+    pub const fn bytes(self) -> usize {
+        2 * self.registers() as usize
+    }
+
     /// Bits of a value.
     pub const fn bits(self) -> u32 {
         16 * self.registers() as u32

@@ -276,7 +276,7 @@ impl Station {
         let place = |role: Role| {
             let block = write?;
             let index = block.roles.iter().position(|other| *other == role)?;
-            let at = begin + index * 2 * usize::from(block.width.registers());
+            let at = begin + index * block.width.bytes();
             Some((at as u8, block.width))
         };
         let expected = match (write, read) {

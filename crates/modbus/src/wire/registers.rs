@@ -1,6 +1,7 @@
 //! Registers: those of a message, and room to build some.
 
 use super::REGISTERS_MAX;
+use crate::parameter::Width;
 
 /// Big-endian registers in wire order. Those of 32-bit access come in pairs, high word first (SI-Ethernet guide).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -43,6 +44,15 @@ impl<'a> Registers<'a> {
     pub fn long(self, index: usize) -> Option<i32> {
         let at = index.checked_mul(4)?;
         self.0.get(at..)?.first_chunk().map(|long| i32::from_be_bytes(*long))
+    }
+
+    /// The raw bits of value `index`, if all have this width.
+    #[inline]
+    pub fn raw(self, width: Width, index: usize) -> Option<u32> {
+        match width {
+            Width::Word => self.word(index).map(u32::from),
+            Width::Long => self.long(index).map(i32::cast_unsigned),
+        }
     }
 
     /// All of them.
@@ -95,6 +105,15 @@ impl RegistersBuffer {
     #[inline]
     pub fn push_long(&mut self, long: i32) -> bool {
         self.push(long.to_be_bytes())
+    }
+
+    /// Appends the raw bits of a value of this width; false, and nothing is changed, if there is no room.
+    #[inline]
+    pub fn push_raw(&mut self, width: Width, raw: u32) -> bool {
+        match width {
+            Width::Word => self.push_word(raw as u16),
+            Width::Long => self.push_long(raw.cast_signed()),
+        }
     }
 
     #[inline]

@@ -44,14 +44,15 @@ use self::transfer::Transfer;
 
 use super::plan::{CHANNEL, LenzeDrive, ParameterPath};
 use super::target::{
-    BROKEN, Kind, NO_CALL, NO_DPV1, NO_PATH, NO_TEXT, NOT_LOADED, NOT_READ, Parameter, Target, UNREACHABLE,
+    BROKEN, Kind, NO_CALL, NO_DPV1, NO_PATH, NO_TEXT, NOT_LOADED, NOT_READ, Parameter, Service, Target,
+    UNREACHABLE,
 };
 use super::wire::base_mode::Format;
 use super::wire::job::{Job, Raw};
 use super::wire::msac1::Record;
 use super::wire::{drivecom, pkw};
 use fieldbeat_core::axis::Link;
-use fieldbeat_core::axis::acyclic::long::{Kept, LOAD, PART, READ, SIZE, STORE, WRITE};
+use fieldbeat_core::axis::acyclic::long::{Kept, LOAD, PART, SIZE};
 use fieldbeat_core::axis::acyclic::{CallError, Integer, Port, Posted};
 use fieldbeat_core::rt::Regions;
 use fieldbeat_core::time::{S, Time};
@@ -266,52 +267,50 @@ impl Acyclic {
     /// How a call is carried out; an error is its status.
     fn way(&mut self, posted: &Posted) -> Result<Way, u32> {
         let Work { path, has_dpv1, transfer, requests, loaded, .. } = &mut *self.work;
-        let call = posted.call;
+        let service = Service::of(&posted.call).ok_or(NO_CALL)?;
         let msac1 = || if *has_dpv1 { Ok(()) } else { Err(NO_DPV1) };
-        match (call.service, Target::unpack(call.address).ok_or(NO_CALL)?) {
-            (READ, Target::Record(record)) => {
+        let parameter = match (service, service.target()) {
+            (_, Target::Parameter(parameter)) => parameter,
+            (Service::Read(_), Target::Record(record)) => {
                 msac1()?;
                 transfer.read(record);
-                Ok(Way::Record(record))
+                return Ok(Way::Record(record));
             }
-            (STORE, Target::Record(record)) => {
+            (Service::Store(..), Target::Record(record)) => {
                 msac1()?;
                 let bytes = loaded.whole(posted).ok_or(NOT_LOADED)?;
                 let fits = transfer.write(record, |out| out.bytes(bytes));
-                if fits { Ok(Way::Record(record)) } else { Err(NOT_LOADED) }
+                return if fits { Ok(Way::Record(record)) } else { Err(NOT_LOADED) };
             }
-            (service @ (READ | WRITE | STORE), Target::Parameter(parameter)) => {
-                let Parameter { code, sub, .. } = parameter;
-                match (*path, parameter.kind().integer()) {
-                    (ParameterPath::None, _) => Err(NO_PATH),
-                    // Numbers are written by a call, texts by a series.
-                    (_, Some(_)) if service == STORE => Err(NO_CALL),
-                    (_, None) if service == WRITE => Err(NO_CALL),
-                    (ParameterPath::Msac1 { .. }, _) => {
-                        msac1()?;
-                        match requests.reaches(parameter) {
-                            false => Err(UNREACHABLE),
-                            true if service == STORE && loaded.whole(posted).is_none() => Err(NOT_LOADED),
-                            true => Ok(Way::Request { response: false }),
-                        }
-                    }
-                    (_, None) => Err(NO_TEXT),
-                    (ParameterPath::Pkw { .. }, _) if code > pkw::CODE_MAX => Err(UNREACHABLE),
-                    (ParameterPath::Drivecom, _) if drivecom::index_of(code).is_none() => Err(UNREACHABLE),
-                    (_, Some(Integer { bits, .. })) => {
-                        let write = (service == WRITE).then_some(call.value as u32);
-                        Ok(Way::Channel(Job { code, sub, bits, write }))
-                    }
+            (Service::Write(..), Target::Record(_)) => return Err(NO_CALL),
+        };
+        let Parameter { code, sub, .. } = parameter;
+        match (*path, parameter.kind().integer(), service) {
+            (ParameterPath::None, ..) => Err(NO_PATH),
+            // Numbers are written by a call, texts by a series.
+            (_, Some(_), Service::Store(..)) | (_, None, Service::Write(..)) => Err(NO_CALL),
+            (ParameterPath::Msac1 { .. }, ..) => {
+                msac1()?;
+                match service {
+                    _ if !requests.reaches(parameter) => Err(UNREACHABLE),
+                    Service::Store(..) if loaded.whole(posted).is_none() => Err(NOT_LOADED),
+                    _ => Ok(Way::Request { response: false }),
                 }
             }
-            _ => Err(NO_CALL),
+            (_, None, _) => Err(NO_TEXT),
+            (ParameterPath::Pkw { .. }, ..) if code > pkw::CODE_MAX => Err(UNREACHABLE),
+            (ParameterPath::Drivecom, ..) if drivecom::index_of(code).is_none() => Err(UNREACHABLE),
+            (_, Some(Integer { bits, .. }), service) => {
+                let write = if let Service::Write(_, raw) = service { Some(raw) } else { None };
+                Ok(Way::Channel(Job { code, sub, bits, write }))
+            }
         }
     }
 
     fn begin(&mut self, now: Time, way: Way, posted: Posted) {
         let mut of = Active {
             way,
-            writes: posted.call.service != READ,
+            writes: Service::of(&posted.call).is_some_and(Service::writes),
             commands: self.port.commands(&posted),
             is_out: false,
             begun: now,
@@ -379,9 +378,9 @@ impl Acyclic {
     #[inline]
     pub(super) fn channel_answered(&mut self, channel: &[u8; CHANNEL]) {
         let Some(ended) = self.channel.answered(channel) else { return };
-        let posted = self.work.active.as_ref().and_then(|of| of.calls.first()?.as_ref());
         // The reply to a write says nothing of its value.
-        let read = posted.filter(|posted| posted.call.service == READ).and_then(request::parameter);
+        let reading = self.work.active.as_ref().filter(|of| !of.writes);
+        let read = reading.and_then(|of| request::parameter(of.calls.first()?.as_ref()?));
         self.finish_all(ended.and_then(|Raw { bits, raw }| match read {
             Some(read) => {
                 let (raw, kind) = read.reported(Format::of_bits(bits).ok_or(BROKEN)?, raw.into())?;

@@ -3,14 +3,14 @@
 //! Several codes go in one request. A text that is too long for a response is read in parts.
 
 use super::super::plan::{Numbers, ParameterPath};
-use super::super::target::{BROKEN, Kind, Parameter, Target, contradicts, number};
+use super::super::target::{BROKEN, Kind, Parameter, Service, Target, contradicts, number};
 use super::super::wire::base_mode::{Address, Head, Outcome, RECORD, Response, Values};
 use super::super::wire::errors::ErrorNumber;
 use super::super::wire::msac1::Record;
 use super::Read;
 use super::transfer::Transfer;
 use fieldbeat_core::axis::acyclic::Posted;
-use fieldbeat_core::axis::acyclic::long::{Kept, MOST, READ, raw};
+use fieldbeat_core::axis::acyclic::long::{Kept, MOST, raw};
 
 /// The most parameters of a request. 39 would fit into a response (sheet, 3); a turn has bounded work.
 pub(super) const BATCH: usize = 16;
@@ -55,10 +55,7 @@ pub(super) struct Requests {
 
 /// The code that a call is for.
 pub(super) fn parameter(posted: &Posted) -> Option<Parameter> {
-    match Target::unpack(posted.call.address)? {
-        Target::Parameter(parameter) => Some(parameter),
-        Target::Record(_) => None,
-    }
+    Service::of(&posted.call)?.target().parameter()
 }
 
 impl Requests {
@@ -79,19 +76,22 @@ impl Requests {
     /// Another call may be in the request of the first one. Writes of a series have to end one by one, since the first
     /// that fails ends it.
     pub(super) fn joins(&self, first: &Posted, other: &Posted) -> bool {
-        let is_number = |posted: &Posted| {
-            parameter(posted).is_some_and(|code| code.kind().integer().is_some() && self.reaches(code))
+        let both = [first, other].map(|posted| Service::of(&posted.call));
+        let may_join = match both {
+            [Some(Service::Read(_)), Some(Service::Read(_))] => true,
+            [Some(Service::Write(..)), Some(Service::Write(..))] => first.series == 0 && other.series == 0,
+            _ => false,
         };
-        first.call.service == other.call.service
-            && (first.call.service == READ || first.series == 0 && other.series == 0)
-            && is_number(first)
-            && is_number(other)
+        let is_number = |target: Target| {
+            target.integer().is_some() && target.parameter().is_some_and(|code| self.reaches(code))
+        };
+        may_join && both.into_iter().flatten().map(Service::target).all(is_number)
     }
 
     /// For this call, and others behind it.
     pub(super) fn begin(&mut self, first: &Posted) {
-        let is_text = parameter(first).is_some_and(|code| code.kind().integer().is_none());
-        let reads = is_text && first.call.service == READ;
+        let service = Service::of(&first.call);
+        let reads = matches!(service, Some(Service::Read(target)) if target.integer().is_none());
         self.text = reads.then_some(Text { bytes: [0; MOST], size: 0, parts: false });
     }
 
@@ -108,11 +108,14 @@ impl Requests {
         self.asked = (0..BATCH).filter(|place| calls[*place].is_some()).fold(0, |asked, n| asked | 1 << n);
         let Requests { reference, axis, numbers, .. } = *self;
         let part = self.text.as_ref().filter(|text| text.parts).map(|text| text.size as u16);
-        let parameters = calls.iter().flatten().filter_map(|posted| Some((parameter(posted)?, posted)));
+        let parameters = calls.iter().flatten().filter_map(|posted| {
+            let service = Service::of(&posted.call)?;
+            Some((service.target().parameter()?, service, posted))
+        });
         let head = Head { reference, write, axis, count: self.asked.count_ones() as u8 };
         transfer.write(self.record, |out| {
             head.put(out);
-            for (parameter, _) in parameters.clone() {
+            for (parameter, ..) in parameters.clone() {
                 let index = numbers.index(parameter.code).unwrap_or_default();
                 let (count, subindex) = match part {
                     Some(from) => (PART as u8, from),
@@ -120,8 +123,9 @@ impl Requests {
                 };
                 Address { count, index, subindex }.put(out);
             }
-            for (parameter, posted) in parameters.filter(|_| write) {
-                let (kind, value) = (parameter.kind(), (posted.call.value as u32).to_be_bytes());
+            for (parameter, service, posted) in parameters.filter(|_| write) {
+                let kind = parameter.kind();
+                let value = if let Service::Write(_, raw) = service { raw } else { 0 }.to_be_bytes();
                 let bytes = match kind.integer() {
                     Some(integer) => value.get(4 - integer.bits as usize / 8..),
                     None => loaded.whole(posted),

@@ -35,7 +35,8 @@ fn read(access: Access<'_>, watch: Watcher<'_>, rows: Vec<Listed>) -> Result<Vec
             Err(error) => return Err(error.into()),
         };
         let mut row = Listed { raw: Some(answer.value), ..row };
-        if let Some(Target::Parameter(read @ Parameter { kind, .. })) = Target::unpack(answer.address)
+        if let Some(read @ Parameter { kind, .. }) =
+            Target::unpack(answer.address).and_then(Target::parameter)
             && kind != Kind::Own
         {
             row.usage = read.known().map(|known| usage(kind, known));

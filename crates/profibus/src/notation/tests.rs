@@ -4,7 +4,7 @@ use std::ops::ControlFlow;
 use std::time::Duration;
 
 use super::*;
-use fieldbeat_core::axis::acyclic::long::LOAD;
+use fieldbeat_core::axis::acyclic::long::{LOAD, STORE, WRITE};
 use fieldbeat_core::axis::acyclic::{Access, Answer, Condition};
 
 #[test]

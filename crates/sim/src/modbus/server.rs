@@ -275,10 +275,7 @@ impl Service {
         self.registers.clear();
         for place in &self.places[first..] {
             let value = place.map_or(0, |place| drive.read(place));
-            match width {
-                Width::Word => self.registers.push_word(value as u16),
-                Width::Long => self.registers.push_long(value),
-            };
+            self.registers.push_raw(width, value.cast_unsigned());
         }
         self.registers.registers()
     }

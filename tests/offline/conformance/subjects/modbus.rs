@@ -13,7 +13,7 @@ use fieldbeat::bus::modbus::{
 use fieldbeat::sim::modbus::{Start, UnidriveSettings, Unidrives};
 use fieldbeat::sim::{SimPlan, Simulated};
 use fieldbeat::time::US;
-use fieldbeat_modbus::notation::Target;
+use fieldbeat_modbus::notation::{Service, Target};
 use fieldbeat_modbus::wire;
 use fieldbeat_modbus::wire::{ExceptionCode, Header, Registers, Request, Response};
 
@@ -184,9 +184,9 @@ impl Subject for Modbus {
         let free = Target { parameter: Parameter::new(3, 7), width: Width::Word };
         let missing = Target { parameter: Parameter::new(99, 99), width: Width::Word };
         Calls {
-            read: free.read(),
-            write: free.write(77),
-            refused: (missing.read(), ExceptionCode::ADDRESS.0.into()),
+            read: Service::Read(free).into(),
+            write: Service::Write(free, 77).into(),
+            refused: (Service::Read(missing).into(), ExceptionCode::ADDRESS.0.into()),
             soon: SOON,
         }
     }
