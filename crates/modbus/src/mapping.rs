@@ -220,31 +220,24 @@ impl Mapping {
             return Err(PlanFault::new("also_read", why));
         }
         let all: Vec<(Role, Mapped)> = outputs.into_iter().chain(inputs.iter().copied()).collect();
-        for (place, (role, mapped)) in all.iter().enumerate() {
-            if let Some((other, _)) =
-                all[..place].iter().find(|(_, other)| other.parameter == mapped.parameter)
-            {
-                let why =
-                    format!("{} is already {}; name each parameter once", mapped.parameter, other.key());
-                return Err(PlanFault::new(role.key(), why));
+        for (place, (role, Mapped { parameter, width, .. })) in all.iter().enumerate() {
+            let wrong = |why: String| Err(PlanFault::new(role.key(), why));
+            if let Some((other, _)) = all[..place].iter().find(|(_, other)| other.parameter == *parameter) {
+                return wrong(format!("{parameter} is already {}; name each parameter once", other.key()));
             }
-            if mapped.parameter.slot != 0 {
-                let why = format!(
-                    "{} is in an option slot; cyclic parameters are the drive's own",
-                    mapped.parameter
-                );
-                return Err(PlanFault::new(role.key(), why));
+            if parameter.slot != 0 {
+                return wrong(format!(
+                    "{parameter} is in an option slot; cyclic parameters are the drive's own"
+                ));
             }
-            drive.address_of(*role, mapped.parameter, mapped.width)?;
-            if drive.via != Via::Direct && mapped.parameter.to_setup().is_none() {
-                let why = format!(
-                    "{} cannot be shown in menu 0 (menus up to 59); use via = \"direct\"",
-                    mapped.parameter
-                );
-                return Err(PlanFault::new(role.key(), why));
+            drive.address_of(*role, *parameter, *width)?;
+            if drive.via != Via::Direct && parameter.to_setup().is_none() {
+                return wrong(format!(
+                    "{parameter} cannot be shown in menu 0 (menus up to 59); use via = \"direct\""
+                ));
             }
         }
-        match drive.via {
+        let (writes, reads, hot, shown_in_menu_0) = match drive.via {
             Via::Direct => {
                 let writes = blocks(drive, &outputs)?;
                 let mut reads = blocks(drive, &inputs)?;
@@ -255,13 +248,7 @@ impl Mapping {
                 let hot = reads.iter().filter(|block| is_hot(block)).count();
                 // Written values are read back now and then: a drive refuses a value by FC23 without an error code.
                 reads.extend(writes.iter().cloned());
-                check_lengths(&writes, &reads)?;
-                Ok(Mapping {
-                    writes: writes.into(),
-                    reads: reads.into(),
-                    hot,
-                    shown_in_menu_0: Box::default(),
-                })
+                (writes, reads, hot, Box::default())
             }
             Via::Menu0 { first } => {
                 // Adjacent, the written ones first: one block reads the written values back, too.
@@ -276,13 +263,18 @@ impl Mapping {
                     }
                 };
                 let placed = all.iter().enumerate().map(place).collect::<Result<Vec<_>, _>>()?;
-                let writes = blocks(drive, &placed[..outputs.len()])?;
-                let reads = blocks(drive, &placed)?;
-                check_lengths(&writes, &reads)?;
                 let shown = all.iter().map(|(_, mapped)| mapped.parameter).collect();
-                Ok(Mapping { writes: writes.into(), reads: reads.into(), hot: 1, shown_in_menu_0: shown })
+                (blocks(drive, &placed[..outputs.len()])?, blocks(drive, &placed)?, 1, shown)
             }
+        };
+        if let Some(block) = writes.iter().chain(&reads).find(|block| block.registers > REGISTERS_MAX) {
+            let why = format!(
+                "{} registers from {} on exceed the {REGISTERS_MAX} of one request; map fewer",
+                block.registers, block.first
+            );
+            return Err(PlanFault::new("map", why));
         }
+        Ok(Mapping { writes: writes.into(), reads: reads.into(), hot, shown_in_menu_0 })
     }
 
     /// The blocks to write: control word and reference, or both in one.
@@ -356,51 +348,24 @@ impl UnidriveDrive {
 fn blocks(drive: &UnidriveDrive, items: &[(Role, Mapped)]) -> Result<Vec<Block>, PlanFault> {
     let mut items = items.to_vec();
     items.sort_by_key(|(_, mapped)| (mapped.parameter.menu, mapped.parameter.number));
-    let mut blocks: Vec<(Block, Vec<Role>, Parameter)> = Vec::new();
-    for (role, mapped) in items {
-        let Mapped { parameter, width, .. } = mapped;
-        if let Some((block, roles, last)) = blocks.last_mut()
-            && block.width == width
-            && (last.menu, last.number.checked_add(1)) == (parameter.menu, Some(parameter.number))
-        {
-            block.registers += width.registers();
-            roles.push(role);
-            *last = parameter;
-            continue;
-        }
-        let address = drive.address_of(role, parameter, width)?;
-        let registers = width.registers();
-        let block = Block {
-            address,
-            registers,
-            width,
-            roles: Box::default(),
-            places: Places::default(),
-            in_order: false,
-            first: parameter,
-        };
-        blocks.push((block, vec![role], parameter));
-    }
-    let finished = |(block, roles, _): (Block, Vec<Role>, Parameter)| {
-        let places = Places(roles.iter().filter_map(|role| role.index()).map(|place| 1 << place).sum());
-        let mut each = roles.iter().map(|role| role.index()).enumerate();
-        let in_order = block.width == Width::Long && each.all(|(place, index)| index == Some(place));
-        Block { roles: roles.into(), places, in_order, ..block }
+    let follows = |(_, last): &(Role, Mapped), (_, next): &(Role, Mapped)| {
+        last.width == next.width && last.parameter.offset(1) == Some(next.parameter)
     };
-    Ok(blocks.into_iter().map(finished).collect())
-}
-
-fn check_lengths(writes: &[Block], reads: &[Block]) -> Result<(), PlanFault> {
-    match writes.iter().chain(reads).find(|block| block.registers > REGISTERS_MAX) {
-        Some(block) => Err(PlanFault::new(
-            "map",
-            format!(
-                "{} registers from {} on exceed the {REGISTERS_MAX} of one request; map fewer",
-                block.registers, block.first
-            ),
-        )),
-        None => Ok(()),
-    }
+    let block = |items: &[(Role, Mapped)]| {
+        let (role, Mapped { parameter: first, width, .. }) = items[0];
+        let roles: Box<[Role]> = items.iter().map(|(role, _)| *role).collect();
+        let mut indices = roles.iter().map(|role| role.index()).enumerate();
+        Ok(Block {
+            address: drive.address_of(role, first, width)?,
+            registers: width.registers() * roles.len() as u16,
+            width,
+            places: Places(indices.clone().filter_map(|(_, index)| Some(1 << index?)).sum()),
+            in_order: width == Width::Long && indices.all(|(place, index)| index == Some(place)),
+            first,
+            roles: roles.clone(),
+        })
+    };
+    items.chunk_by(follows).map(block).collect()
 }
 
 #[cfg(test)]
