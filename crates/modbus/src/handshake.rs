@@ -267,13 +267,10 @@ impl UnidriveHandshake {
 
     /// Takes the answer of the present step, and continues with the next one.
     fn answer(&mut self, response: Response<'_>, out: &mut Vec<u8>) -> HandshakeState {
-        let refused = match response {
-            Response::Exception { code, .. } => Some(code),
-            _ => None,
-        };
-        let values = match response {
-            Response::Read { data } => Some(data),
-            _ => None,
+        let (values, refused) = match response {
+            Response::Read { data } => (Some(data), None),
+            Response::Exception { code, .. } => (None, Some(code)),
+            _ => (None, None),
         };
         let next = match (self.step, refused) {
             (Step::Unit, Some(_)) if self.unit + 1 < self.units.len() => {
@@ -396,47 +393,36 @@ impl UnidriveHandshake {
         self.drive.set_up && !self.finding.status.active()
     }
 
+    /// What follows once the settings of menu 0 before this one stand; `None`: nothing.
     fn next_setting(&self, from: usize) -> Option<Step> {
-        let differs = |index: &usize| {
-            self.settings[*index].purpose == Purpose::Menu0 && !self.is_met(*index) && self.may_set()
-        };
-        match (from..self.settings.len()).find(differs) {
-            Some(index) => Some(Step::Set(index)),
-            None => self.conclude(),
+        if let Some(index) = self.unmet(Purpose::Menu0, from).filter(|_| self.may_set()) {
+            return Some(Step::Set(index));
         }
+        (self.menu_0.is_some() && self.unmet(Purpose::Menu0, 0).is_none()).then_some(Step::Menu0)
     }
 
-    fn is_met(&self, index: usize) -> bool {
-        self.has.get(index).copied().flatten() == Some(self.settings[index].value)
-    }
-
-    fn conclude(&self) -> Option<Step> {
-        (self.menu_0.is_some() && self.are_met(Purpose::Menu0)).then_some(Step::Menu0)
-    }
-
-    fn are_met(&self, purpose: Purpose) -> bool {
-        self.unmet(purpose).is_none()
-    }
-
-    fn unmet(&self, purpose: Purpose) -> Option<&Setting> {
-        let of = |index: &usize| self.settings[*index].purpose == purpose;
-        (0..self.settings.len())
-            .filter(of)
-            .find(|index| !self.is_met(*index))
-            .map(|index| &self.settings[index])
+    /// The first setting for this purpose, from this one on, that the drive does not have.
+    fn unmet(&self, purpose: Purpose, from: usize) -> Option<usize> {
+        let differs = |index: &usize| {
+            let setting = &self.settings[*index];
+            setting.purpose == purpose && self.has.get(*index).copied().flatten() != Some(setting.value)
+        };
+        (from..self.settings.len()).find(differs)
     }
 
     fn end(&mut self) -> HandshakeState {
-        if let Some(setting) = self.unmet(Purpose::Menu0).filter(|_| self.may_set()) {
+        if let Some(index) = self.unmet(Purpose::Menu0, 0).filter(|_| self.may_set()) {
+            let setting = &self.settings[index];
             return HandshakeState::Failed(format!(
                 "Pr {} does not take {}, so that menu 0 cannot show the cyclic parameters; use via = \
                  \"direct\"",
                 setting.parameter, setting.value
             ));
         }
-        self.finding.obeys = self.are_met(Purpose::Obey);
+        self.finding.obeys = self.unmet(Purpose::Obey, 0).is_none();
         // Where nothing is to be set, nothing watches.
-        self.finding.watched = self.drive.watchdog.timeout_ns.is_some() && self.are_met(Purpose::Watch);
+        self.finding.watched =
+            self.drive.watchdog.timeout_ns.is_some() && self.unmet(Purpose::Watch, 0).is_none();
         HandshakeState::Done
     }
 
