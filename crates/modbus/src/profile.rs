@@ -114,6 +114,17 @@ impl State {
     }
 }
 
+/// Whether the drive follows the control word, and something stops it if the master dies, or nothing needs to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum SetUp {
+    /// Both.
+    Done,
+    /// Not yet: the settings that are missing can be written.
+    Due { obeys: bool },
+    /// One of them, or none, and nothing can be written.
+    Lacking { obeys: bool },
+}
+
 /// The profile of one drive.
 #[derive(Debug)]
 pub(super) struct Profile {
@@ -121,13 +132,9 @@ pub(super) struct Profile {
     raw_per_velocity: f64,
     /// The bits of the control word while the drive is to be on.
     on: u16,
-    /// Something stops the drive if the master dies, or nothing needs to.
-    watched: bool,
-    /// A time-out can be set in it for that.
+    set_up: SetUp,
+    /// Something stops the drive if the master dies once it is set up, or nothing needs to.
     watchable: bool,
-    /// The drive follows the control word; if not, it may be set so.
-    obeys: bool,
-    settable: bool,
     state: Prepared<State>,
     /// The values of the prepared request, and the velocity that was desired with them.
     outputs: Outputs,
@@ -179,10 +186,8 @@ impl Profile {
         Profile {
             raw_per_velocity: drive.map.reference.raw(drive.rpm(1.0)),
             on: ControlWord::ENABLE | if drive.watchdog.keypad { ControlWord::KEYPAD_WATCHDOG } else { 0 },
-            watched: false,
-            watchable: drive.watchdog.timeout_ns.is_some(),
-            obeys: false,
-            settable: false,
+            set_up: SetUp::Lacking { obeys: false },
+            watchable: drive.watchdog.within_ns().is_some() || drive.watchdog.accept_none,
             state: Prepared::new(state),
             outputs: Outputs::default(),
             velocity: 0.0,
@@ -302,16 +307,24 @@ impl Profile {
     /// Whether something stops the drive if the master dies, whether it follows the control word, and whether it
     /// can be configured to.
     pub(super) fn found(&mut self, watched: bool, obeys: bool, settable: bool) {
-        (self.watched, self.obeys, self.settable, self.steady) = (watched, obeys, settable, None);
+        self.steady = None;
+        self.set_up = match settable {
+            _ if watched && obeys => SetUp::Done,
+            true => SetUp::Due { obeys },
+            false => SetUp::Lacking { obeys },
+        };
     }
 
     /// The drive has to be configured to follow the control word, or to be watched: once it has accepted the
     /// present values.
     pub(super) fn wants_set_up(&self, inputs: &Inputs) -> bool {
-        let power = self.state.proposed().power;
-        let enabling = power == Power::Shutdown && !(self.obeys && self.watched);
-        let obeying = power != Power::Untouched && !self.obeys && inputs.status.active();
-        self.settable && (enabling || obeying) && self.has_taken(inputs)
+        let SetUp::Due { obeys } = self.set_up else { return false };
+        let is_wanted = match self.state.proposed().power {
+            Power::Untouched => false,
+            Power::Shutdown => true,
+            _ => !obeys && inputs.status.active(),
+        };
+        is_wanted && self.has_taken(inputs)
     }
 
     /// Something was written to it.
@@ -421,31 +434,21 @@ impl Profile {
             (false, false) => serial.saturating_sub(1),
         };
         (evidence.accepted.power, evidence.accepted.motion) = (since(power), since(motion));
-        evidence.is_set_up = self.obeys && self.watched;
-        (evidence.follows, evidence.obstacle) = (Follows::Yes, None);
-        if !evidence.is_set_up {
-            self.prove_set_up(evidence);
-        }
+        evidence.is_set_up = self.set_up == SetUp::Done;
+        let unwatched = (!self.watchable).then_some(NOT_WATCHED);
+        (evidence.follows, evidence.obstacle) = match self.set_up {
+            SetUp::Done => (Follows::Yes, None),
+            SetUp::Due { obeys: true } => (Follows::Yes, unwatched),
+            SetUp::Due { obeys: false } => (Follows::NotYet, unwatched),
+            SetUp::Lacking { obeys: true } => (Follows::Yes, Some(NOT_WATCHED)),
+            SetUp::Lacking { obeys: false } => (Follows::Never(NOT_OBEYING), Some(NOT_OBEYING)),
+        };
         evidence.refused = refused;
         let reset_at = |at| Resettable::At(at + Trip(inputs.trip).reset_after_ns());
         evidence.fault = FaultIs {
             active: inputs.seen && !inputs.status.healthy(),
             named: inputs.named,
             resettable: inputs.tripped_at.map_or(Resettable::Now, reset_at),
-        };
-    }
-
-    #[cold]
-    fn prove_set_up(&self, evidence: &mut Evidence) {
-        evidence.follows = match (self.obeys, self.settable) {
-            (true, _) => Follows::Yes,
-            (false, true) => Follows::NotYet,
-            (false, false) => Follows::Never(NOT_OBEYING),
-        };
-        evidence.obstacle = match () {
-            () if !self.obeys && !self.settable => Some(NOT_OBEYING),
-            () if self.watched || self.settable && self.watchable => None,
-            () => Some(NOT_WATCHED),
         };
     }
 }

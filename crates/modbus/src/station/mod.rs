@@ -294,7 +294,7 @@ impl Station {
         let set = self.settings.iter().take_while(is_met).count();
         let settable = !self.settings.is_empty();
         self.conn = Connection { finding, inputs, set, settable, ..Connection::default() };
-        self.profile.found(finding.watched || self.unwatched, finding.obeys, self.conn.settable);
+        self.tell_set_up();
         self.identity.reconnected();
         self.functions.reconnected();
         // It stands still, and has neither the last accepted control word nor the last one sent.
@@ -315,6 +315,12 @@ impl Station {
         if std::mem::replace(&mut self.opened_before, true) {
             Own::Reopened.count(&mut slot.counters);
         }
+    }
+
+    /// The profile gets to know what the drive is set to.
+    fn tell_set_up(&mut self) {
+        let Finding { watched, obeys, .. } = self.conn.finding;
+        self.profile.found(watched || self.unwatched, obeys, self.conn.settable);
     }
 
     /// The connection is gone.

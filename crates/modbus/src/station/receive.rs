@@ -230,11 +230,7 @@ impl Station {
             self.conn.finding.obeys = is_met(Purpose::Obey);
             self.conn.finding.watched = is_met(Purpose::Watch) && self.time_out().is_some();
         }
-        self.profile.found(
-            self.conn.finding.watched || self.unwatched,
-            self.conn.finding.obeys,
-            self.conn.settable,
-        );
+        self.tell_set_up();
     }
 
     /// What does not fit the open request in a response that names it.

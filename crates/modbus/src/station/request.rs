@@ -123,7 +123,7 @@ impl Station {
     fn doubt_settings(&mut self) {
         if self.conn.settable {
             (self.conn.set, self.conn.finding.obeys, self.conn.finding.watched) = (0, false, false);
-            self.profile.found(self.unwatched, false, true);
+            self.tell_set_up();
         }
     }
 
