@@ -21,7 +21,7 @@ use fieldbeat_keys::bus::{NOWHERE, drives, reachable};
 use fieldbeat_keys::drive::{Counts, axis};
 use fieldbeat_keys::form::Form;
 use fieldbeat_keys::machine::{Claim, Machine};
-use fieldbeat_keys::table::{Table, integer, time};
+use fieldbeat_keys::table::{Table, integer, set, time};
 use fieldbeat_keys::value::{ENDPOINT, HOST, closest, station};
 
 /// This protocol, for the list of all of them.
@@ -60,50 +60,27 @@ fn drive(table: &mut Table<'_>, machine: &mut Machine, bind: Option<Ipv4Addr>) -
     let axis = axis(table, machine, COUNTS);
     let address = address(table, machine, bind).unwrap_or(NOWHERE);
     let period_ns = machine.period_ns.saturating_mul(u64::from(axis.divisor));
-    let default = UnidriveDrive::new("", *address.ip());
-    let mut drive = UnidriveDrive {
-        axis,
-        address,
-        serial: table
-            .integer_or_any(
-                "serial",
-                0..=UnidriveDrive::SERIAL_MAX.into(),
-                "the serial number that fieldbeat pin shows",
-            )
-            .unwrap_or(default.serial),
-        serial_from: serial_from(table).unwrap_or(default.serial_from),
-        unit: table.integer(
-            "unit",
-            0..=255,
-            "the unit id of the drive; leave it out for 255, or 0 behind it",
-        ),
-        slot: table
-            .integer(
-                "slot",
-                1..=4,
-                "where its Ethernet interface is: 4 onboard, 1 ... 3 an SI-Ethernet option",
-            )
-            .unwrap_or(default.slot),
-        addressing: table
-            .word("addressing", &[("standard", Addressing::Standard), ("modified", Addressing::Modified)])
-            .unwrap_or(default.addressing),
-        map: map(table, default.map),
-        via: via(table).unwrap_or(default.via),
-        functions: table
-            .word(
-                "function",
-                &[("auto", Functions::Auto), ("23", Functions::ReadWrite), ("16+3", Functions::Apart)],
-            )
-            .unwrap_or(default.functions),
-        reply_within_ns: table
-            .time("reply_within", 100 * US..=10 * S, "the time within which a reply counts")
-            .unwrap_or(0),
-        watchdog: watchdog(table, default.watchdog),
-        set_up: table.flag("set_up").unwrap_or(default.set_up),
-    };
-    if drive.reply_within_ns == 0 {
-        drive.reply_within_ns = UnidriveDrive::usual_reply_within(&drive.watchdog, period_ns);
-    }
+    let mut drive = UnidriveDrive { axis, address, ..UnidriveDrive::new("", *address.ip()) };
+    let serials = 0..=UnidriveDrive::SERIAL_MAX.into();
+    let serial = "the serial number that fieldbeat pin shows";
+    set(&mut drive.serial, table.integer_or_any("serial", serials, serial));
+    set(&mut drive.serial_from, serial_from(table));
+    let unit = "the unit id of the drive; leave it out for 255, or 0 behind it";
+    drive.unit = table.integer("unit", 0..=255, unit);
+    let slot = "where its Ethernet interface is: 4 onboard, 1 ... 3 an SI-Ethernet option";
+    set(&mut drive.slot, table.integer("slot", 1..=4, slot));
+    let words = [("standard", Addressing::Standard), ("modified", Addressing::Modified)];
+    set(&mut drive.addressing, table.word("addressing", &words));
+    map(table, &mut drive.map);
+    set(&mut drive.via, via(table));
+    let words = [("auto", Functions::Auto), ("23", Functions::ReadWrite), ("16+3", Functions::Apart)];
+    set(&mut drive.functions, table.word("function", &words));
+    let reply = "the time within which a reply counts";
+    let reply_within_ns = table.time("reply_within", 100 * US..=10 * S, reply);
+    watchdog(table, &mut drive.watchdog);
+    set(&mut drive.set_up, table.flag("set_up"));
+    let usual_ns = UnidriveDrive::usual_reply_within(&drive.watchdog, period_ns);
+    drive.reply_within_ns = reply_within_ns.unwrap_or(usual_ns);
     table.later("simulate");
     for fault in drive.faults(period_ns) {
         table.fault(fault.key, fault.message);
@@ -122,28 +99,22 @@ fn address(table: &mut Table<'_>, machine: &mut Machine, bind: Option<Ipv4Addr>)
     Some(address)
 }
 
-fn map(table: &mut Table<'_>, default: Map) -> Map {
-    let map = table.table("map", |table| Map {
-        control: table.read("control", parameter_form(), one).unwrap_or(default.control),
-        reference: table.read("reference", parameter_form(), one).unwrap_or(default.reference),
-        status: table.read("status", parameter_form(), one).unwrap_or(default.status),
-        speed: table.read("speed", parameter_form(), one).unwrap_or(default.speed),
-        trip: table
-            .read("trip", parameter_form(), |value| match value.as_str() {
-                Some("off") => Ok(None),
-                _ => one(value).map(Some),
-            })
-            .unwrap_or(default.trip),
-        show: default.show,
-        also: default.also,
+fn map(table: &mut Table<'_>, map: &mut Map) {
+    table.table("map", |table| {
+        let mut read = |place: &mut Mapped, key| set(place, table.read(key, parameter_form(), one));
+        read(&mut map.control, "control");
+        read(&mut map.reference, "reference");
+        read(&mut map.status, "status");
+        read(&mut map.speed, "speed");
+        let trip = table.read("trip", parameter_form(), |value| match value.as_str() {
+            Some("off") => Ok(None),
+            _ => one(value).map(Some),
+        });
+        set(&mut map.trip, trip);
     });
-    Map {
-        show: table
-            .read("monitor", Form::False.or(parameter_form().list(1, MONITOR_CHANNELS)), monitor)
-            .unwrap_or(map.show),
-        also: table.read("also_read", parameter_form().any_list(), also_read).unwrap_or_default(),
-        ..map
-    }
+    let form = Form::False.or(parameter_form().list(1, MONITOR_CHANNELS));
+    set(&mut map.show, table.read("monitor", form, monitor));
+    set(&mut map.also, table.read("also_read", parameter_form().any_list(), also_read));
 }
 
 /// `false`, or up to four parameters.
@@ -294,18 +265,17 @@ fn via(table: &mut Table<'_>) -> Option<Via> {
     })
 }
 
-fn watchdog(table: &mut Table<'_>, default: Watchdog) -> Watchdog {
+fn watchdog(table: &mut Table<'_>, watchdog: &mut Watchdog) {
     let hint = "the drive trips after this time without Modbus traffic; or \"off\"";
-    let watchdog = table.table("watchdog", |table| Watchdog {
-        timeout_ns: table
-            .read("timeout", Form::Time.or(Form::word("off")), |value| match value.as_str() {
+    table.table("watchdog", |table| {
+        let timeout_ns =
+            table.read("timeout", Form::Time.or(Form::word("off")), |value| match value.as_str() {
                 Some("off") => Ok(None),
                 _ => time(value, &(MS..=WATCHDOG_MAX_NS), hint).map(Some),
-            })
-            .unwrap_or(default.timeout_ns),
-        keypad: table.flag("keypad").unwrap_or(default.keypad),
-        accept_none: default.accept_none,
+            });
+        set(&mut watchdog.timeout_ns, timeout_ns);
+        set(&mut watchdog.keypad, table.flag("keypad"));
     });
     let accept = table.word("no_drive_watchdog", &[("accept", true), ("refuse", false)]);
-    Watchdog { accept_none: accept.unwrap_or(default.accept_none), ..watchdog }
+    set(&mut watchdog.accept_none, accept);
 }
