@@ -42,6 +42,7 @@ use self::channel::Channel;
 use self::request::{BATCH, Requests};
 use self::transfer::Transfer;
 
+use super::line::Answer;
 use super::plan::{CHANNEL, LenzeDrive, ParameterPath};
 use super::target::{
     BROKEN, Kind, NO_CALL, NO_DPV1, NO_PATH, NO_TEXT, NOT_LOADED, NOT_READ, Parameter, Service, Target,
@@ -73,17 +74,6 @@ pub(super) enum Turn {
     DataExchange,
     /// An MSAC1 request.
     Msac1,
-}
-
-/// What an MSAC1 request was answered with.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Answer<'a> {
-    /// A data unit, which may be empty.
-    Data(&'a [u8]),
-    /// The bare acknowledgement: the answer is to be polled for.
-    Acknowledged,
-    /// Refused by the link layer, with this function (UE, RR, RS).
-    Refused(u8),
 }
 
 /// What a call has read, and what the drive says that it is: [`Kind::Own`] if it says nothing.

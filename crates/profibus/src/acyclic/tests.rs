@@ -154,7 +154,7 @@ impl Reply {
         match self {
             Reply::Ack => Answer::Acknowledged,
             Reply::Refused(function) => Answer::Refused(*function),
-            Reply::Data(data) => Answer::Data(data),
+            Reply::Data(data) => Answer::Data { high: false, data },
         }
     }
 }

@@ -127,9 +127,9 @@ impl Transfer {
     /// The answer to the telegram.
     pub(super) fn answered<'a>(&mut self, at: Time, answer: Answer<'a>) -> Event<'a> {
         let data = match answer {
-            Answer::Acknowledged | Answer::Data([]) => return self.acknowledged(),
+            Answer::Acknowledged | Answer::Data { data: [], .. } => return self.acknowledged(),
             Answer::Refused(function) => return self.refused(function),
-            Answer::Data(data) => data,
+            Answer::Data { data, .. } => data,
         };
         if !self.is_sent {
             // That of an older request, which was in the way.

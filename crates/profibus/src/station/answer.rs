@@ -1,7 +1,7 @@
 //! What follows from an answer, or from none: the exchange is closed, and the next telegram counts on, or anew.
 
 use super::{AWAITED, FCB, FIRST, SECOND, Sending, Station};
-use crate::acyclic::{self, Turn};
+use crate::acyclic::Turn;
 use crate::counters::Own;
 use crate::line::Answer;
 use crate::notes::Note;
@@ -58,7 +58,7 @@ impl Station {
         match self.sending {
             Sending::Msac1 => {
                 self.close(at, slot);
-                self.acyclic.answered(at, acyclic::Answer::Data(data));
+                self.acyclic.answered(at, Answer::Data { high: false, data });
             }
             Sending::StartUp => self.start(at, data),
             Sending::Diagnosis => {
@@ -77,13 +77,9 @@ impl Station {
         match (self.sending, answer) {
             (Sending::StartUp, Answer::Refused(function)) => self.start_up.refused(at, function),
             (Sending::StartUp, _) => self.start_up.acknowledged(),
-            (Sending::Msac1, Answer::Refused(function)) => {
+            (Sending::Msac1, answer) => {
                 self.close(at, slot);
-                self.acyclic.answered(at, acyclic::Answer::Refused(function));
-            }
-            (Sending::Msac1, _) => {
-                self.close(at, slot);
-                self.acyclic.answered(at, acyclic::Answer::Acknowledged);
+                self.acyclic.answered(at, answer);
             }
             (Sending::Unlock, _) => self.leave(Note::None, slot),
             (Sending::DataExchange | Sending::Diagnosis, Answer::Refused(function))
