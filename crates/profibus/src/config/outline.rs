@@ -2,11 +2,9 @@
 
 use std::net::SocketAddrV4;
 
-use super::scan::{ScanError, scan};
-use super::tools::{SCAN_LATENCY_MS, pause};
+use super::scan::ScanError;
+use super::tools::{SCAN_LATENCY_MS, stations};
 use crate::plan::{Bits, ProfibusPlan};
-use fieldbeat_core::net::{Carriers, Os, Place};
-use fieldbeat_core::rt::MonotonicClock;
 use fieldbeat_core::time::MS;
 use fieldbeat_keys::outline::{Found, Known, Line, Outline, Search, Unit, Usual};
 
@@ -44,14 +42,7 @@ fn search(known: &Known<'_>, _: &[SocketAddrV4], goes_on: &dyn Fn() -> bool) -> 
     let plan = ProfibusPlan::new(&device, rate, Vec::new());
     let bits = Bits { latency_ns: SCAN_LATENCY_MS * MS, ..plan.bits };
     let plan = ProfibusPlan { address: 0, bits, ..plan };
-    let _lock = Place::Port(&device).lock().map_err(|why| format!("{device} {why}"))?;
-    let port = Os::default().serial(&device, &plan.line());
-    let mut port = port.map_err(|error| format!("cannot use {device}: {error}"))?;
-    let mut wait = |fd, most_ns| {
-        pause(fd, most_ns);
-        goes_on().then(MonotonicClock::read)
-    };
-    let stations = match scan(&mut *port, &plan, &mut wait) {
+    let stations = match stations(&plan, goes_on)? {
         Err(ScanError::Silent) => return Ok(Vec::new()),
         other => other.map_err(|error| format!("{device}: {error}"))?,
     };

@@ -92,14 +92,8 @@ impl Scan {
 
     fn run(self, program: &dyn Program) -> Result<(), Stop> {
         let (device, plan) = (&self.device, self.plan());
-        let _lock = Place::Port(device).lock().map_err(|why| Stop::usage(format!("{device} {why}")))?;
-        let cannot = |error| Stop::usage(format!("cannot use {device}: {error}"));
-        let mut port = Os::default().serial(device, &plan.line()).map_err(cannot)?;
-        let mut wait = |fd, most_ns| {
-            pause(fd, most_ns);
-            (!program.is_interrupted()).then(MonotonicClock::read)
-        };
-        let found = scan(&mut *port, &plan, &mut wait).map_err(|error| match error {
+        let found = stations(&plan, &|| !program.is_interrupted()).map_err(Stop::usage)?;
+        let found = found.map_err(|error| match error {
             ScanError::Port(why) => Stop::usage(why),
             other => Stop::failed(format!("{device}: {other}")),
         })?;
@@ -112,8 +106,24 @@ impl Scan {
     }
 }
 
+/// The stations of the wire of `plan`, as long as `goes_on` is true. The outer error: its port cannot be used.
+pub(super) fn stations(
+    plan: &ProfibusPlan,
+    goes_on: &dyn Fn() -> bool,
+) -> Result<Result<Vec<Found>, ScanError>, String> {
+    let device = &plan.device;
+    let _lock = Place::Port(device).lock().map_err(|why| format!("{device} {why}"))?;
+    let port = Os::default().serial(device, &plan.line());
+    let mut port = port.map_err(|error| format!("cannot use {device}: {error}"))?;
+    let mut wait = |fd, most_ns| {
+        pause(fd, most_ns);
+        goes_on().then(MonotonicClock::read)
+    };
+    Ok(scan(&mut *port, plan, &mut wait))
+}
+
 /// Waits until the descriptor is readable, or for so many ns, rounded up to whole milliseconds.
-pub(super) fn pause(fd: Option<RawFd>, most_ns: u64) {
+fn pause(fd: Option<RawFd>, most_ns: u64) {
     let ms = most_ns.div_ceil(MS);
     let Some(fd) = fd else { return sleep(Duration::from_millis(ms)) };
     // SAFETY: the carrier holds it, and is borrowed by the caller.
@@ -128,27 +138,18 @@ fn text(found: &[Found]) -> String {
 }
 
 fn row(found: &Found) -> [String; 6] {
-    let none = || "-".to_owned();
-    let address = found.address.to_string();
-    let Some(seen) = found.diagnosis() else {
-        return [
-            address,
-            none(),
-            none(),
-            none(),
-            none(),
-            "answers without a diagnosis: no slave of DP".to_owned(),
-        ];
-    };
-    let watchdog = if seen.status.has(DiagnosisStatus::WD_ON) { "on" } else { "off" };
-    [
-        address,
-        format!("{:#06x}", seen.ident),
-        configuration(&found.configuration),
-        seen.master.map_or_else(none, |master| master.to_string()),
-        watchdog.to_owned(),
-        state(&seen),
-    ]
+    let seen = found.diagnosis();
+    let watchdog = |seen: Diagnosis<'_>| if seen.status.has(DiagnosisStatus::WD_ON) { "on" } else { "off" };
+    let cells = [
+        seen.map(|seen| format!("{:#06x}", seen.ident)),
+        seen.map(|_| configuration(&found.configuration)),
+        seen.and_then(|seen| Some(seen.master?.to_string())),
+        seen.map(|seen| watchdog(seen).to_owned()),
+    ];
+    let [ident, configuration, master, watchdog] = cells.map(|cell| cell.unwrap_or_else(|| "-".to_owned()));
+    let none = || "answers without a diagnosis: no slave of DP".to_owned();
+    let state = seen.as_ref().map_or_else(none, state);
+    [found.address.to_string(), ident, configuration, master, watchdog, state]
 }
 
 /// Its identifier bytes, as a configuration has them.
