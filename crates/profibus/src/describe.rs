@@ -22,7 +22,7 @@ impl ProfibusPlan {
             "takes velocities, {} rpm at a count of {}; no moves, no streams, no homing",
             drive.scale.full_rpm, drive.scale.full_count
         ));
-        lines.push(drive.describe_parameters().to_owned());
+        lines.push(drive.describe_parameters());
         if drive.parameters != ParameterPath::None {
             lines.push(WEARS.to_owned());
         }

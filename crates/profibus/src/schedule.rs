@@ -6,7 +6,7 @@
 //! nobody answers until its slot time is over, its repetition, and one acyclic telegram. A round is as many cycles as
 //! the largest divisor.
 
-use super::plan::{LenzeDrive, ProfibusPlan, RATES};
+use super::plan::{Bits, LenzeDrive, ParameterPath, ProfibusPlan, RATES};
 use super::wire::msac1::RECORD_MAX;
 use fieldbeat_core::axis::PlanFault;
 use fieldbeat_core::bus::Grid;
@@ -60,7 +60,7 @@ impl LenzeDrive {
     /// The longest request of MSAC1: a record that is written.
     fn acyclic(&self) -> Option<Bytes> {
         let record = WITH_SAPS + RECORD_HEAD;
-        let by_msac1 = matches!(self.parameters, super::plan::ParameterPath::Msac1 { .. });
+        let by_msac1 = matches!(self.parameters, ParameterPath::Msac1 { .. });
         by_msac1.then_some(Bytes(record + RECORD_MAX, record))
     }
 }
@@ -80,11 +80,6 @@ impl ProfibusPlan {
 
     fn try_ns(&self, bytes: Bytes) -> u64 {
         self.answered_ns(bytes).max(self.silent_ns(bytes))
-    }
-
-    /// The same wire, with a port that adds nothing: what is on the wire itself.
-    fn without_latency(&self) -> ProfibusPlan {
-        ProfibusPlan { bits: super::plan::Bits { latency_ns: 0, ..self.bits }, ..self.clone() }
     }
 
     /// The time on the wire of Data_Exchange with drive `index`, with its idle time, ns; 0: there is none. It is its
@@ -242,7 +237,7 @@ impl ProfibusPlan {
             (None, None) => "use less drives on this wire, or a longer period".to_owned(),
         };
         let every_ns = grid.period_ns.saturating_mul(drive.axis.divisor.into());
-        let before = super::plan::Bits { max_tsdr: 60, slot: 100, idle_unanswered: 60, ..self.bits };
+        let before = Bits { max_tsdr: 60, slot: 100, idle_unanswered: 60, ..self.bits };
         let is_slower = self.bits.max_tsdr > 60
             && self.rate == 45_450
             && ProfibusPlan { bits: before, ..self.clone() }.lay(grid).is_ok();
@@ -321,8 +316,7 @@ impl ProfibusPlan {
     fn least_rate(&self, grid: Grid) -> Option<u32> {
         let faster = RATES.into_iter().filter(|rate| *rate > self.rate);
         let at = |rate: &u32| {
-            let bits =
-                super::plan::Bits { latency_ns: self.bits.latency_ns, ..super::plan::Bits::usual(*rate) };
+            let bits = Bits { latency_ns: self.bits.latency_ns, ..Bits::usual(*rate) };
             ProfibusPlan { rate: *rate, bits, ..self.clone() }.lay(grid).is_ok()
         };
         faster.into_iter().find(at)
@@ -331,18 +325,15 @@ impl ProfibusPlan {
     /// The bus load, percent: by the exchanges of a round, and with its room. The latency of the port is no time on the
     /// wire.
     pub(super) fn loads(&self, grid: Grid) -> [f64; 2] {
-        self.without_latency().turn_loads(grid)
-    }
-
-    fn turn_loads(&self, grid: Grid) -> [f64; 2] {
+        let wire = ProfibusPlan { bits: Bits { latency_ns: 0, ..self.bits }, ..self.clone() };
         let divisor = |drive: &LenzeDrive| u64::from(drive.axis.divisor.max(1));
         let cycles = self.drives.iter().map(divisor).max().unwrap_or(1);
         let round_ns = (cycles * grid.period_ns.max(1)) as f64;
         let turns =
             self.drives.iter().enumerate().map(|(index, drive)| {
-                self.usual_turn_ns(index) as f64 * cycles as f64 / divisor(drive) as f64
+                wire.usual_turn_ns(index) as f64 * cycles as f64 / divisor(drive) as f64
             });
-        let (usual, room) = (turns.sum::<f64>(), self.room_ns(grid));
+        let (usual, room) = (turns.sum::<f64>(), wire.room_ns(grid));
         [usual, usual + (room.before + room.more) as f64].map(|ns| 100.0 * ns / round_ns)
     }
 
