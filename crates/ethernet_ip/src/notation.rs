@@ -27,13 +27,12 @@ mod names;
 
 use std::ops::RangeInclusive;
 
-use super::target::{Target, reason};
+use super::target::{Service, Target, reason};
 use super::wire::assembly::IoCode;
 use super::wire::opcodes::{self, Opcode, Operand};
-use fieldbeat_core::axis::acyclic::long::{self, STORE};
 use fieldbeat_core::axis::acyclic::{
-    Call, CallError, Carrier, Integer, ListError, Listing, Notation, NotationError, Quantity, Wanted, shown,
-    within,
+    Call, CallError, Carrier, Integer, ListError, Listing, Notation, NotationError, Quantity, Wanted, long,
+    shown, within,
 };
 
 use self::names::Scale;
@@ -215,26 +214,6 @@ impl Address {
         Some(Address { target, shape })
     }
 
-    fn can_be_read(&self) -> bool {
-        match self.target {
-            Target::Parameter { flash, .. } => !flash,
-            Target::Register(_)
-            | Target::Encoder
-            | Target::Absolute
-            | Target::AlarmHistory
-            | Target::Attribute { .. } => true,
-            _ => false,
-        }
-    }
-
-    fn can_be_written(&self) -> bool {
-        match self.target {
-            Target::Parameter { .. } => self.target.parameter().is_some_and(|parameter| !parameter.read_only),
-            Target::Encoder | Target::Absolute | Target::AlarmHistory => false,
-            _ => true,
-        }
-    }
-
     fn is_attribute(&self) -> bool {
         matches!(self.target, Target::Attribute { .. })
     }
@@ -340,7 +319,7 @@ impl Addresses {
 
     fn writable(text: &str) -> Result<Address, NotationError> {
         let address = Addresses::find(text)?;
-        if address.can_be_written() {
+        if address.target.can_be_written() {
             Ok(address)
         } else {
             Err(NotationError::ReadOnly { instead: READ_ONLY })
@@ -355,7 +334,7 @@ impl Notation for Addresses {
 
     fn read(&self, address: &str) -> Result<Call, NotationError> {
         let address = Addresses::find(address)?;
-        match address.can_be_read() {
+        match address.target.can_be_read() {
             true => Ok(address.target.read()),
             false => Err(NotationError::Address { form: ONLY_WRITTEN }),
         }
@@ -367,7 +346,7 @@ impl Notation for Addresses {
             && !matches!(address.shape, Shape::Number { of: Integer { bits: 64, .. }, .. })
         {
             // A call has eight bytes, and an attribute its own size: it goes in parts, and never by this one alone.
-            return Ok(Call { service: STORE, address: address.target.pack(), value: 0 });
+            return Ok(Service::Store(address.target, 0).into());
         }
         match address.number_of(value) {
             Some(number) => Ok(address.target.write(address.shape.raw(number))),
@@ -421,7 +400,7 @@ impl Notation for Addresses {
             Some(Address { target: Target::Parameter { flash: true, .. }, .. }) => {
                 vec![address.trim_end_matches(".flash").to_owned()]
             }
-            Some(found) if found.can_be_read() => vec![address.to_owned()],
+            Some(found) if found.target.can_be_read() => vec![address.to_owned()],
             _ => Vec::new(),
         }
     }

@@ -1,7 +1,6 @@
-//! What an acyclic call to a drive does: its service, its address and its value as numbers, and the meaning of its
-//! status.
+//! What an acyclic call to a drive does: its [`Service`], which is its numbers and back, and the meaning of its status.
 //!
-//! | target | [`READ`] | [`WRITE`] | value |
+//! | target | [`Read`](Service::Read) | [`Write`](Service::Write) | value |
 //! |---|---|---|---|
 //! | [`Parameter`](Target::Parameter) | yes, unless of the flash memory | unless `opcodes::PARAMETERS` says read-only | 16 bits, 0 above them |
 //! | [`Register`](Target::Register) | yes | yes | 32 bits, 0 above them |
@@ -16,9 +15,9 @@
 //!
 //! Reading returns the value. Writing an attribute returns what was written; every other write returns the drive's
 //! status word (see `wire::assembly::status`) as the value. A read of an attribute of more than eight bytes returns the
-//! first of them, and the rest by [`SIZE`] and [`PART`]s of the same series ([`long::read`](fieldbeat_core::axis::acyclic::long)).
-//! An attribute of any other length than eight bytes is written by [`LOAD`]s and a [`STORE`]
-//! ([`long::write`](fieldbeat_core::axis::acyclic::long)).
+//! first of them, and the rest by [`Size`](Service::Size) and [`Part`](Service::Part)s of the same series ([`long::read`]).
+//! An attribute of any other length than eight bytes is written by [`Load`](Service::Load)s and a
+//! [`Store`](Service::Store) ([`long::write()`]).
 //!
 //! The status of an answer is 0. That of a refusal is the drive's own, see [`refusal`], or one of the master's, from
 //! [`NO_CALL`] on; [`reason`] has the words.
@@ -28,9 +27,7 @@ use std::borrow::Cow;
 use super::wire::cip::Status;
 use super::wire::encapsulation;
 use super::wire::opcodes::{self, Parameter};
-use fieldbeat_core::axis::acyclic::{Call, CallError, Commanding};
-
-pub use fieldbeat_core::axis::acyclic::long::{LOAD, PART, READ, SIZE, STORE, WRITE};
+use fieldbeat_core::axis::acyclic::{Call, CallError, Commanding, long};
 
 /// In a status of the drive's own: bits 8 to 23 are the extended status.
 const EXTENDED: u32 = 1 << 24;
@@ -47,6 +44,53 @@ pub const BROKEN: u32 = NO_CALL + 2;
 pub const NOT_READ: u32 = NO_CALL + 3;
 /// Status of a call: the value to be written was not handed over whole before it in its series.
 pub const NOT_LOADED: u32 = NO_CALL + 4;
+
+/// What a call does.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Service {
+    /// Reads it.
+    Read(Target),
+    /// Writes this value to it; the operand of a command as an `i64`.
+    Write(Target, u64),
+    /// Returns how many bytes were read of it before.
+    Size(Target),
+    /// Returns eight of those bytes, from this one on.
+    Part(Target, u64),
+    /// Hands over the next eight bytes for it.
+    Load(Target, u64),
+    /// Writes so many of the bytes that were handed over to it.
+    Store(Target, u64),
+}
+
+impl From<Service> for Call {
+    fn from(service: Service) -> Call {
+        let (service, target, value) = match service {
+            Service::Read(target) => (long::READ, target, 0),
+            Service::Write(target, value) => (long::WRITE, target, value),
+            Service::Size(target) => (long::SIZE, target, 0),
+            Service::Part(target, at) => (long::PART, target, at),
+            Service::Load(target, bytes) => (long::LOAD, target, bytes),
+            Service::Store(target, length) => (long::STORE, target, length),
+        };
+        Call { service, address: target.pack(), value }
+    }
+}
+
+impl Service {
+    /// That of a call; `None`: there is no such call to a drive.
+    pub fn of(call: &Call) -> Option<Service> {
+        let (target, value) = (Target::unpack(call.address)?, call.value);
+        Some(match call.service {
+            long::READ => Service::Read(target),
+            long::WRITE => Service::Write(target, value),
+            long::SIZE => Service::Size(target),
+            long::PART => Service::Part(target, value),
+            long::LOAD => Service::Load(target, value),
+            long::STORE => Service::Store(target, value),
+            _ => return None,
+        })
+    }
+}
 
 /// What a call reads or writes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -168,18 +212,41 @@ impl Target {
 
     /// The call that reads it.
     pub fn read(self) -> Call {
-        Call { service: READ, address: self.pack(), value: 0 }
+        Service::Read(self).into()
     }
 
     /// The call that writes this value to it; the operand of a command as an `i64`.
     pub fn write(self, value: u64) -> Call {
-        Call { service: WRITE, address: self.pack(), value }
+        Service::Write(self, value).into()
     }
 
     /// The parameter that it is.
     pub fn parameter(self) -> Option<Parameter> {
         let Target::Parameter { index, .. } = self else { return None };
         opcodes::PARAMETERS.into_iter().find(|parameter| parameter.index == index)
+    }
+
+    /// Whether there is a call that reads it.
+    pub(crate) fn can_be_read(self) -> bool {
+        match self {
+            Target::Parameter { flash, .. } => !flash,
+            Target::Register(_)
+            | Target::Encoder
+            | Target::Absolute
+            | Target::AlarmHistory
+            | Target::Attribute { .. } => true,
+            _ => false,
+        }
+    }
+
+    /// Whether there is one that writes it.
+    pub(crate) fn can_be_written(self) -> bool {
+        match self {
+            // Bit 7 of such an index would be the flash memory of another parameter.
+            Target::Parameter { .. } => self.parameter().is_some_and(|parameter| !parameter.read_only),
+            Target::Encoder | Target::Absolute | Target::AlarmHistory => false,
+            _ => true,
+        }
     }
 
     /// Written while power is on, it moves nothing, and changes no state: what counts as in position (PD, PE), the
@@ -210,9 +277,12 @@ pub fn commanding() -> Commanding {
 /// Why a call of the application is refused while the power of its drive is on: it writes something that is not known
 /// to be harmless.
 fn commands(call: &Call, _mapped: &[u32]) -> Option<CallError> {
-    let writes = matches!(call.service, WRITE | STORE);
-    let target = Target::unpack(call.address).filter(|_| writes)?;
-    (!target.is_harmless()).then_some(CallError::Commands)
+    match Service::of(call)? {
+        Service::Write(target, _) | Service::Store(target, _) => {
+            (!target.is_harmless()).then_some(CallError::Commands)
+        }
+        _ => None,
+    }
 }
 
 /// The status of a call that the drive refused, from its CIP status: the general one in bits 0 to 7, an extended one in
@@ -275,10 +345,12 @@ mod tests {
 
     proptest! {
         #[test]
-        fn any_address_is_that_of_one_target_or_of_none(address: u32) {
+        fn any_address_is_that_of_one_target_or_of_none(address: u32, service in 0_u32..10, value: u64) {
             if let Some(target) = Target::unpack(address) {
                 prop_assert_eq!(target.pack(), address);
             }
+            let service = Service::of(&Call { service, address, value });
+            prop_assert_eq!(service, service.and_then(|service| Service::of(&service.into())));
         }
     }
 
@@ -287,8 +359,8 @@ mod tests {
         let harmless = |call: Call| commands(&call, &[]).is_none();
         for target in every_kind() {
             assert!(harmless(target.read()), "{target:?}");
-            for service in [SIZE, PART, LOAD] {
-                assert!(harmless(Call { service, address: target.pack(), value: 0 }));
+            for service in [Service::Size(target), Service::Part(target, 0), Service::Load(target, 0)] {
+                assert!(harmless(service.into()));
             }
         }
         let parameter = |index| [false, true].map(|flash| Target::Parameter { index, flash });
@@ -297,6 +369,6 @@ mod tests {
         let expected = expected.chain([Target::Encoder, Target::Absolute, Target::AlarmHistory]);
         let written = every_kind().into_iter().filter(|target| harmless(target.write(1)));
         assert_eq!(written.collect::<HashSet<_>>(), expected.collect());
-        assert!(!harmless(Call { service: STORE, address: ATTRIBUTE.pack(), value: 1 }));
+        assert!(!harmless(Service::Store(ATTRIBUTE, 1).into()));
     }
 }

@@ -41,7 +41,7 @@ fn row(address: String, name: Option<&'static str>) -> Listed {
 
 /// Bits and access.
 fn usage(address: &Address) -> String {
-    let access = match (address.can_be_read(), address.can_be_written()) {
+    let access = match (address.target.can_be_read(), address.target.can_be_written()) {
         (true, true) => "read write",
         (true, false) => "read",
         _ => "write",

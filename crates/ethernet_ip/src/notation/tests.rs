@@ -1,5 +1,5 @@
 use super::*;
-use fieldbeat_core::axis::acyclic::long::{LOAD, READ, WRITE};
+use fieldbeat_core::axis::acyclic::long::{LOAD, READ, STORE, WRITE};
 
 fn target(text: &str) -> Option<Target> {
     Address::parse(text).map(|address| address.target)

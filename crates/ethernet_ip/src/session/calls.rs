@@ -5,14 +5,12 @@
 //! in the order of arrival (assumed).
 
 use crate::exchange::SessionEnd;
-use crate::target::{
-    BROKEN, LOAD, NO_CALL, NOT_LOADED, NOT_READ, PART, READ, SIZE, STORE, Target, VALUE, WRITE, refusal,
-};
+use crate::target::{BROKEN, NO_CALL, NOT_LOADED, NOT_READ, Service, Target, VALUE, refusal};
 use crate::wire::cip::{self, Reply, Segment, service};
-use crate::wire::message::{self, Buffered, Deceleration, Immediate};
+use crate::wire::message::{self, Payload, immediate};
 use crate::wire::opcodes;
 use fieldbeat_core::axis::acyclic::long::{self, Kept};
-use fieldbeat_core::axis::acyclic::{Answer, Call, CallError, Port, Posted};
+use fieldbeat_core::axis::acyclic::{Answer, CallError, Port, Posted};
 use fieldbeat_core::time::Time;
 
 /// The calls to one drive.
@@ -42,116 +40,83 @@ struct Active {
 }
 
 /// What is sent for a call.
-#[derive(Clone, Debug, PartialEq, Eq)]
-enum Message {
-    Immediate(Immediate),
-    Buffered(Buffered),
-    Get([Segment<'static>; 3]),
-    Set([Segment<'static>; 3], Vec<u8>),
+#[derive(Debug)]
+struct Message {
+    service: u8,
+    path: [Segment<'static>; 3],
+    data: Vec<u8>,
 }
 
 impl Message {
     /// That of a call; an error is its status. `loaded`: the value that was handed over for it.
-    fn of(call: &Call, loaded: Option<&[u8]>) -> Result<Message, u32> {
-        let target = Target::unpack(call.address).ok_or(NO_CALL)?;
-        let attribute = |class, instance, attribute| {
-            [Segment::Class(class), Segment::Instance(instance), Segment::Attribute(attribute)]
+    fn of(service: Option<Service>, loaded: Option<&[u8]>) -> Result<Message, u32> {
+        let service = service.ok_or(NO_CALL)?;
+        let (Service::Read(Target::Attribute { class, instance, attribute })
+        | Service::Write(Target::Attribute { class, instance, attribute }, _)
+        | Service::Store(Target::Attribute { class, instance, attribute }, _)) = service
+        else {
+            let data = own(service)?.into();
+            return Ok(Message { service: service::VENDOR, path: message::PATH, data });
         };
-        match (call.service, target) {
-            (READ, Target::Attribute { class, instance, attribute: number }) => {
-                Ok(Message::Get(attribute(class, instance, number)))
-            }
-            (WRITE, Target::Attribute { class, instance, attribute: number }) => {
-                Ok(Message::Set(attribute(class, instance, number), call.value.to_le_bytes().into()))
-            }
-            (STORE, Target::Attribute { class, instance, attribute: number }) => {
-                let bytes = loaded.ok_or(NOT_LOADED)?;
-                Ok(Message::Set(attribute(class, instance, number), bytes.into()))
-            }
-            (READ, target) => read(target).map(Message::Immediate).ok_or(NO_CALL),
-            (WRITE, Target::Command { code, field }) => {
-                let opcode =
-                    opcodes::OPCODES.into_iter().find(|opcode| opcode.code == code).ok_or(NO_CALL)?;
-                let buffered = Buffered { opcode, field, value: call.value as i64 };
-                buffered.encode().map(|_| Message::Buffered(buffered)).ok_or(VALUE)
-            }
-            (WRITE, target) => write(target, call.value).map(Message::Immediate),
-            _ => Err(NO_CALL),
-        }
-    }
-
-    fn service(&self) -> u8 {
-        match self {
-            Message::Immediate(_) | Message::Buffered(_) => service::VENDOR,
-            Message::Get(_) => service::GET_ATTRIBUTE_SINGLE,
-            Message::Set(..) => service::SET_ATTRIBUTE_SINGLE,
-        }
-    }
-
-    fn emit(&self, out: &mut Vec<u8>) {
-        match self {
-            Message::Immediate(immediate) => {
-                cip::request(out, self.service(), &message::PATH, &immediate.encode());
-            }
-            // It was encoded when the call was taken up.
-            Message::Buffered(buffered) => {
-                cip::request(out, self.service(), &message::PATH, &buffered.encode().unwrap_or_default());
-            }
-            Message::Get(path) => cip::request(out, self.service(), path, &[]),
-            Message::Set(path, data) => cip::request(out, self.service(), path, data),
-        }
+        let path = [Segment::Class(class), Segment::Instance(instance), Segment::Attribute(attribute)];
+        let (service, data) = match service {
+            Service::Write(_, value) => (service::SET_ATTRIBUTE_SINGLE, value.to_le_bytes().into()),
+            Service::Store(..) => (service::SET_ATTRIBUTE_SINGLE, loaded.ok_or(NOT_LOADED)?.into()),
+            _ => (service::GET_ATTRIBUTE_SINGLE, Vec::new()),
+        };
+        Ok(Message { service, path, data })
     }
 
     /// The value of an answer that is no refusal; `None`: it is none to this message.
     fn value(&self, data: &[u8]) -> Option<u64> {
-        Some(match self {
-            Message::Immediate(immediate) => match immediate.answer(data).ok()? {
-                message::Answer::Status(word) | message::Answer::Word(word) => word.into(),
-                message::Answer::Long(long) => (long as u32).into(),
-            },
-            Message::Buffered(buffered) => buffered.answer(data).ok()?.into(),
-            Message::Get(_) => long::raw(data),
-            Message::Set(_, data) => long::raw(data),
-        })
+        match self.service {
+            service::VENDOR => message::answer(&self.data, data).map(u64::from),
+            service::GET_ATTRIBUTE_SINGLE => Some(long::raw(data)),
+            _ => Some(long::raw(&self.data)),
+        }
     }
 }
 
-fn read(target: Target) -> Option<Immediate> {
-    Some(match target {
-        Target::Parameter { index, flash: false } => Immediate::ReadParameter(index),
-        Target::Register(register) => Immediate::ReadRegister(register),
-        Target::Encoder => Immediate::ReadEncoder,
-        Target::Absolute => Immediate::ReadAbsolute,
-        Target::AlarmHistory => Immediate::ReadAlarmHistory,
-        _ => return None,
-    })
-}
-
-/// An error is the status of the call.
-fn write(target: Target, value: u64) -> Result<Immediate, u32> {
-    let below = |most: u64| if value <= most { Ok(value) } else { Err(VALUE) };
-    let deceleration =
-        || below(1).map(|set| if set == 0 { Deceleration::Largest } else { Deceleration::Set });
-    Ok(match target {
-        Target::Parameter { index, flash } => match target.parameter() {
-            // Bit 7 of such an index would be the flash memory of another parameter.
-            Some(parameter) if !parameter.read_only => {
-                Immediate::WriteParameter { index, value: below(u16::MAX.into())? as u16, flash }
-            }
+/// The message of the drive's own for a call; an error is the status of the call.
+fn own(service: Service) -> Result<Payload, u32> {
+    let (opcode, operand, data) = match service {
+        Service::Read(target) => match target {
+            Target::Parameter { index, flash: false } => (immediate::READ_PARAMETER, index, 0),
+            Target::Register(register) => (immediate::READ_REGISTER, register, 0),
+            Target::Encoder => (immediate::READ_POSITION, 0, 0),
+            Target::Absolute => (immediate::READ_POSITION, 1, 0),
+            Target::AlarmHistory => (immediate::READ_ALARM_HISTORY, 0, 0),
             _ => return Err(NO_CALL),
         },
-        Target::Register(register) => {
-            Immediate::WriteRegister { register, value: below(u32::MAX.into())? as u32 as i32 }
+        Service::Write(target, value) => {
+            let within = |least: u8, most: u8| {
+                u8::try_from(value).ok().filter(|value| (least..=most).contains(value)).ok_or(VALUE)
+            };
+            match target {
+                Target::Parameter { index, flash } if target.can_be_written() => {
+                    let value = u16::try_from(value).map_err(|_| VALUE)?;
+                    let index = index | u8::from(flash) << 7;
+                    (immediate::WRITE_PARAMETER, index, u32::from(value) << 16)
+                }
+                Target::Register(register) => {
+                    (immediate::WRITE_REGISTER, register, u32::try_from(value).map_err(|_| VALUE)?)
+                }
+                Target::Output(index) => (immediate::SET_OUTPUT, within(0, 1)? << 7 | index, 0),
+                Target::Stop => (immediate::STOP, within(0, 1)?, 0),
+                Target::Kill => (immediate::KILL, within(0, 1)?, 0),
+                Target::AlarmReset => (immediate::RESET_ALARM, 0, 0),
+                Target::LoadProgram => (immediate::LOAD_PROGRAM, 0, 0),
+                Target::SaveSegment => (immediate::SAVE_SEGMENT, within(1, 12)?, 0),
+                Target::Command { code, field } => {
+                    let opcode = opcodes::OPCODES.into_iter().find(|opcode| opcode.code == code);
+                    return message::buffered(opcode.ok_or(NO_CALL)?, field, value as i64).ok_or(VALUE);
+                }
+                _ => return Err(NO_CALL),
+            }
         }
-        Target::Output(index) => Immediate::SetOutput { index, closed: below(1)? == 1 },
-        Target::Stop => Immediate::Stop(deceleration()?),
-        Target::Kill => Immediate::Kill(deceleration()?),
-        Target::AlarmReset => Immediate::ResetAlarm,
-        Target::LoadProgram => Immediate::LoadProgram,
-        Target::SaveSegment if value >= 1 => Immediate::SaveSegment(below(12)? as u8),
-        Target::SaveSegment => return Err(VALUE),
         _ => return Err(NO_CALL),
-    })
+    };
+    Ok(message::immediate(opcode, operand, data))
 }
 
 impl Calls {
@@ -188,11 +153,10 @@ impl Calls {
     }
 
     fn take_up(&mut self, now: Time, posted: Posted) {
-        let call = posted.call;
-        let here = match call.service {
-            SIZE | PART => self.read.answer(&posted).ok_or(NOT_READ),
-            LOAD => self.loaded.load(&posted).ok_or(NOT_LOADED),
-            _ => match Message::of(&call, self.loaded.whole(&posted)) {
+        let here = match Service::of(&posted.call) {
+            Some(Service::Size(_) | Service::Part(..)) => self.read.answer(&posted).ok_or(NOT_READ),
+            Some(Service::Load(..)) => self.loaded.load(&posted).ok_or(NOT_LOADED),
+            service => match Message::of(service, self.loaded.whole(&posted)) {
                 Ok(message) => {
                     let (until, commands) = (now + posted.limit_ns, self.port.commands(&posted));
                     let posted = Some(posted);
@@ -229,13 +193,13 @@ impl Calls {
             return None;
         }
         active.sent = true;
-        active.message.emit(out);
+        cip::request(out, active.message.service, &active.message.path, &active.message.data);
         Some(active.until)
     }
 
     /// Whether this can be the answer to the call that was sent.
     pub(super) fn fits(&self, reply: &Reply<'_>) -> bool {
-        self.active.as_ref().is_some_and(|active| active.message.service() == reply.service)
+        self.active.as_ref().is_some_and(|active| active.message.service == reply.service)
     }
 
     /// The answer to the call that was sent.
@@ -246,7 +210,9 @@ impl Calls {
             Some(value) => Ok(value),
             None => Err(BROKEN),
         };
-        if let (Message::Get(_), Some(posted), Ok(_)) = (&active.message, &active.posted, value) {
+        if let (service::GET_ATTRIBUTE_SINGLE, Some(posted), Ok(_)) =
+            (active.message.service, &active.posted, value)
+        {
             self.read = Kept::of_read(posted, reply.data.len(), reply.data);
         }
         self.over(end, value.map_err(CallError::Refused));
@@ -291,7 +257,7 @@ impl Calls {
     /// Ends the call under way before it was sent.
     pub(super) fn end(&mut self, result: Result<u64, CallError>) {
         if let Some(Active { posted: Some(posted), .. }) = self.active.take() {
-            let Call { address, .. } = posted.call;
+            let address = posted.call.address;
             self.port.end(&posted, result.map(|value| Answer { status: 0, address, value }));
         }
     }

@@ -4,7 +4,7 @@
 use std::net::{Ipv4Addr, SocketAddrV4};
 
 use super::opening::Next;
-use super::requests::STATUS;
+use super::requests::{STATUS, read_register};
 use super::{Connected, Io, Joined, Life, Open, Phase, Session, Way, What, words};
 use crate::exchange::{Connection, News, Outputs};
 use crate::plan::{Access, Delivery, IO_PORT, Version};
@@ -13,7 +13,7 @@ use crate::wire::assembly::status;
 use crate::wire::cip::{Reply, Status, service};
 use crate::wire::connection::{self, ConnectionError, Opened, timeout_factor};
 use crate::wire::encapsulation::{self, Frame, Identity, Unconnected, command};
-use crate::wire::message::{Answer, Immediate, ProfileCode};
+use crate::wire::message::{ProfileCode, answer};
 use fieldbeat_core::axis::acyclic::{CallError, long};
 use fieldbeat_core::time::Time;
 
@@ -153,12 +153,8 @@ impl Session {
             What::Identity => self.identified(now, &reply, out)?,
             What::Profile => self.profiled(&reply)?,
             What::Homed(register) => {
-                let answer = Immediate::ReadRegister(register).answer(reply.data).ok();
-                let homed = match answer.filter(|_| reply.status.is_ok()) {
-                    Some(Answer::Long(value)) => Some(value != 0),
-                    _ => None,
-                };
-                self.facts(homed);
+                let value = answer(&read_register(register), reply.data).filter(|_| reply.status.is_ok());
+                self.facts(value.map(|value| value != 0));
             }
             What::Open(open, outputs, version) => match Opened::parse(&reply, open.triad) {
                 // The triad was compared above.
@@ -181,10 +177,10 @@ impl Session {
             },
             // Closed, or not there: nothing is left of it.
             What::Close => self.end_close(),
-            What::Power => self.calls.power(match STATUS.answer(reply.data) {
+            What::Power => self.calls.power(match answer(&STATUS, reply.data) {
                 _ if !reply.status.is_ok() => Err(target::refusal(reply.status)),
-                Ok(Answer::Word(word)) => Ok(word & status::ENABLED != 0),
-                _ => Err(target::BROKEN),
+                Some(word) => Ok(word & u32::from(status::ENABLED) != 0),
+                None => Err(target::BROKEN),
             }),
             What::Call => self.calls.answer(&self.end, &reply),
         }

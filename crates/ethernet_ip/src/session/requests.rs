@@ -7,7 +7,7 @@ use crate::exchange::Outputs;
 use crate::plan::{Access, Delivery, Expected, IO_PORT, Originator, Version};
 use crate::wire::cip::{self, Configuration, Key, Segment, class, service};
 use crate::wire::connection::{Direction, ForwardOpen, Route, Target, Triad, incoming_size};
-use crate::wire::message::{self, Immediate};
+use crate::wire::message::{self, Payload, immediate};
 use crate::wire::{encapsulation, io};
 use fieldbeat_core::time::{MS, Time};
 
@@ -17,12 +17,17 @@ const CONNECTED_MULTIPLIER: u8 = 3;
 /// The largest message on a class 3 connection, with its sequence number: every device has it.
 const CONNECTED_SIZE: u16 = 500;
 /// SC: the status word.
-pub(super) const STATUS: Immediate = Immediate::ReadParameter(0x80);
+pub(super) const STATUS: Payload = message::immediate(immediate::READ_PARAMETER, 0x80, 0);
 /// Where the identity is.
 const IDENTITY: [Segment<'static>; 2] = [Segment::Class(class::IDENTITY), Segment::Instance(1)];
 /// The vendor: a request that every device answers.
 const VENDOR_ID: [Segment<'static>; 3] =
     [Segment::Class(class::IDENTITY), Segment::Instance(1), Segment::Attribute(1)];
+
+/// Reads this register.
+pub(super) const fn read_register(register: u8) -> Payload {
+    message::immediate(immediate::READ_REGISTER, register, 0)
+}
 
 impl Session {
     /// Sends a request of the session's own, whose message `fill` appends.
@@ -109,7 +114,7 @@ impl Session {
     /// Reads the status of the drive.
     pub(super) fn request_power(&mut self, now: Time, out: &mut Vec<u8>) {
         self.request(now, out, What::Power, |out| {
-            cip::request(out, service::VENDOR, &message::PATH, &STATUS.encode());
+            cip::request(out, service::VENDOR, &message::PATH, &STATUS);
         });
     }
 
@@ -117,8 +122,7 @@ impl Session {
     pub(super) fn read_facts(&mut self, now: Time, out: &mut Vec<u8>) {
         match self.drive.homed_register {
             Some(register) => self.request(now, out, What::Homed(register), |out| {
-                let payload = Immediate::ReadRegister(register).encode();
-                cip::request(out, service::VENDOR, &message::PATH, &payload);
+                cip::request(out, service::VENDOR, &message::PATH, &read_register(register));
             }),
             None => self.facts(None),
         }

@@ -1,8 +1,6 @@
 //! These drives' own messages: service 0x3C of class 0x64, eight bytes each way, big-endian (Applied Motion, Host
 //! Command Reference 920-0002 W, EtherNet/IP explicit messages).
 
-use thiserror::Error;
-
 use super::Reader;
 use super::assembly::Version;
 use super::cip::{Segment, class};
@@ -23,194 +21,83 @@ const BUFFERED: u8 = 1;
 /// Type 2: a command that is executed at once.
 const IMMEDIATE: u8 = 2;
 
-/// Added to the index of a parameter: also into the flash memory.
-const FLASH: u8 = 0x80;
-
-/// A buffered command.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Buffered {
-    /// Which one.
-    pub opcode: Opcode,
-    /// The register or I/O code beside the operand; 0 for most.
-    pub field: u8,
-    /// The operand; two I/O codes have the first one in the lower half.
-    pub value: i64,
-}
-
-impl Buffered {
-    /// The message; `None` if the command has no such operand.
-    ///
-    /// A negative operand of 16 bits is not extended: the manual does not say it.
-    pub fn encode(&self) -> Option<Payload> {
-        let Buffered { opcode, field, value } = *self;
-        let (low, high, with_field) = match opcode.operand {
-            Operand::None => (0, 0, false),
-            Operand::Byte => (0, 0xFF, false),
-            Operand::Word => (i16::MIN.into(), u16::MAX.into(), false),
-            Operand::Long => (i32::MIN.into(), i32::MAX.into(), false),
-            Operand::Io => (0, u16::MAX.into(), false),
-            Operand::TwoIos => (0, u32::MAX.into(), false),
-            Operand::FieldWord => (i16::MIN.into(), u16::MAX.into(), true),
-            Operand::Register => (0, 0, true),
-            Operand::RegisterLong => (i32::MIN.into(), i32::MAX.into(), true),
-        };
-        if !(low..=high).contains(&value) || !with_field && field != 0 {
-            return None;
-        }
-        let wide = matches!(opcode.operand, Operand::Long | Operand::TwoIos | Operand::RegisterLong);
-        let [a, b, c, d] = (value as u32 & if wide { u32::MAX } else { 0xFFFF }).to_be_bytes();
-        Some([0, BUFFERED, field, opcode.code, a, b, c, d])
-    }
-
-    /// The status word in the answer.
-    pub fn answer(&self, payload: &[u8]) -> Result<u16, AnswerError> {
-        let &[zero, kind, _, code, high, low, ..] = whole(payload)?;
-        if [zero, kind, code] != [0, BUFFERED, self.opcode.code] {
-            return Err(AnswerError::Other);
-        }
-        Ok(u16::from_be_bytes([high, low]))
-    }
-}
-
-/// Which deceleration a stop has.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Deceleration {
-    /// The largest (AM).
-    Largest,
-    /// That of the move (DE) or jog (JL).
-    Set,
-}
-
-/// A command that is executed at once.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Immediate {
-    /// Writes a parameter of `opcodes::PARAMETERS`.
-    WriteParameter {
-        /// Its index.
-        index: u8,
-        /// Its value.
-        value: u16,
-        /// Also into the flash memory.
-        flash: bool,
-    },
-    /// Reads a parameter: [`Answer::Word`].
-    ReadParameter(u8),
-    /// Reads the history of alarms: [`Answer::Long`], whose meaning the manual does not say.
-    ReadAlarmHistory,
-    /// Reads the position of the encoder: [`Answer::Long`].
-    ReadEncoder,
-    /// Reads the absolute position: [`Answer::Long`].
-    ReadAbsolute,
-    /// Sets an output.
-    SetOutput {
-        /// Counted from 0, up to 127.
-        index: u8,
-        /// Closed (low), or open.
-        closed: bool,
-    },
+/// The commands that are executed at once, as on the wire.
+pub mod immediate {
+    /// Writes a parameter of `opcodes::PARAMETERS`. With bit 7 of its index also into the flash memory.
+    pub const WRITE_PARAMETER: u8 = 0x83;
+    /// Reads a parameter.
+    pub const READ_PARAMETER: u8 = 0x84;
+    /// Reads the history of alarms, whose meaning the manual does not say.
+    pub const READ_ALARM_HISTORY: u8 = 0x87;
+    /// Reads the position of the encoder (0), or the absolute one (1).
+    pub const READ_POSITION: u8 = 0x88;
+    /// Sets an output, counted from 0, up to 127: closed (low) with bit 7, else open.
+    pub const SET_OUTPUT: u8 = 0x8B;
     /// AR: clears the fault. The motor stays without current.
-    ResetAlarm,
-    /// SK: stops, and discards what is buffered.
-    Kill(Deceleration),
-    /// ST: stops.
-    Stop(Deceleration),
+    pub const RESET_ALARM: u8 = 0x8E;
+    /// SK: stops as by [`STOP`], and discards what is buffered.
+    pub const KILL: u8 = 0x98;
     /// Writes a register of `opcodes::REGISTERS`. The drive does not check the value.
-    WriteRegister {
-        /// Its character.
-        register: u8,
-        /// Its value.
-        value: i32,
-    },
-    /// Reads a register: [`Answer::Long`].
-    ReadRegister(u8),
+    pub const WRITE_REGISTER: u8 = 0x9E;
+    /// Reads a register.
+    pub const READ_REGISTER: u8 = 0x9F;
     /// QL: loads the Q program.
-    LoadProgram,
+    pub const LOAD_PROGRAM: u8 = 0xA1;
     /// QS: saves a segment of it, 1 ... 12.
-    SaveSegment(u8),
+    pub const SAVE_SEGMENT: u8 = 0xA2;
+    /// ST: stops with the largest deceleration (0: AM), or that of the move (1: DE) or jog (JL).
+    pub const STOP: u8 = 0xA3;
 }
 
-impl Immediate {
-    /// The opcode and its operand.
-    fn head(&self) -> [u8; 2] {
-        use Immediate::{
-            Kill, LoadProgram, ReadAbsolute, ReadAlarmHistory, ReadEncoder, ReadParameter, ReadRegister,
-            ResetAlarm, SaveSegment, SetOutput, Stop, WriteParameter, WriteRegister,
-        };
-        match *self {
-            WriteParameter { index, flash, .. } => [0x83, index | if flash { FLASH } else { 0 }],
-            ReadParameter(index) => [0x84, index],
-            ReadAlarmHistory => [0x87, 0],
-            ReadEncoder => [0x88, 0],
-            ReadAbsolute => [0x88, 1],
-            SetOutput { index, closed } => [0x8B, u8::from(closed) << 7 | index & 0x7F],
-            ResetAlarm => [0x8E, 0],
-            Kill(deceleration) => [0x98, deceleration as u8],
-            WriteRegister { register, .. } => [0x9E, register],
-            ReadRegister(register) => [0x9F, register],
-            LoadProgram => [0xA1, 0],
-            SaveSegment(segment) => [0xA2, segment],
-            Stop(deceleration) => [0xA3, deceleration as u8],
+/// A command that is executed at once. A parameter has the upper half of `value`.
+pub const fn immediate(opcode: u8, operand: u8, value: u32) -> Payload {
+    let [a, b, c, d] = value.to_be_bytes();
+    [0, IMMEDIATE, opcode, operand, a, b, c, d]
+}
+
+/// A command for the buffer; `None` if it has no such operand. `field`: the register or I/O code beside the operand, 0
+/// for most. Two I/O codes have the first one in the lower half.
+///
+/// A negative operand of 16 bits is not extended: the manual does not say it.
+pub fn buffered(opcode: Opcode, field: u8, value: i64) -> Option<Payload> {
+    let word = (i16::MIN.into(), u16::MAX.into());
+    let long = (i32::MIN.into(), i32::MAX.into());
+    let ((low, high), with_field) = match opcode.operand {
+        Operand::None => ((0, 0), false),
+        Operand::Byte => ((0, 0xFF), false),
+        Operand::Word => (word, false),
+        Operand::Long => (long, false),
+        Operand::Io => ((0, u16::MAX.into()), false),
+        Operand::TwoIos => ((0, u32::MAX.into()), false),
+        Operand::FieldWord => (word, true),
+        Operand::Register => ((0, 0), true),
+        Operand::RegisterLong => (long, true),
+    };
+    if !(low..=high).contains(&value) || !with_field && field != 0 {
+        return None;
+    }
+    let wide = matches!(opcode.operand, Operand::Long | Operand::TwoIos | Operand::RegisterLong);
+    let [a, b, c, d] = (value as u32 & if wide { u32::MAX } else { 0xFFFF }).to_be_bytes();
+    Some([0, BUFFERED, field, opcode.code, a, b, c, d])
+}
+
+/// What the drive answered to a request: a register, a position or the history of alarms, 32 bits; a parameter, 16
+/// bits; to everything else its status word, see `assembly::status`. `None`: the answer is to another message.
+pub fn answer(request: &[u8], answer: &[u8]) -> Option<u32> {
+    let &[_, due, opcode, operand, ..] = request else { return None };
+    let &[zero, kind, first, second, a, b, c, d]: &Payload = answer.try_into().ok()?;
+    // That to a command of the buffer need not repeat the field.
+    if [zero, kind, second] != [0, due, operand] || kind != BUFFERED && first != opcode {
+        return None;
+    }
+    Some(match first {
+        immediate::READ_ALARM_HISTORY | immediate::READ_POSITION | immediate::READ_REGISTER
+            if kind == IMMEDIATE =>
+        {
+            u32::from_be_bytes([a, b, c, d])
         }
-    }
-
-    /// The message.
-    pub fn encode(&self) -> Payload {
-        let [opcode, operand] = self.head();
-        let [a, b, c, d] = match *self {
-            Immediate::WriteParameter { value, .. } => {
-                let [high, low] = value.to_be_bytes();
-                [high, low, 0, 0]
-            }
-            Immediate::WriteRegister { value, .. } => value.to_be_bytes(),
-            _ => [0; 4],
-        };
-        [0, IMMEDIATE, opcode, operand, a, b, c, d]
-    }
-
-    /// What the drive answered.
-    pub fn answer(&self, payload: &[u8]) -> Result<Answer, AnswerError> {
-        let &[zero, kind, opcode, operand, a, b, c, d] = whole(payload)?;
-        let head = self.head();
-        if [zero, kind] != [0, IMMEDIATE] || [opcode, operand] != head {
-            return Err(AnswerError::Other);
-        }
-        let word = u16::from_be_bytes([a, b]);
-        Ok(match self {
-            Immediate::ReadParameter(_) => Answer::Word(word),
-            Immediate::ReadEncoder
-            | Immediate::ReadAbsolute
-            | Immediate::ReadRegister(_)
-            | Immediate::ReadAlarmHistory => Answer::Long(i32::from_be_bytes([a, b, c, d])),
-            _ => Answer::Status(word),
-        })
-    }
-}
-
-/// What an immediate command is answered with.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Answer {
-    /// The status word, see `assembly::status`.
-    Status(u16),
-    /// A parameter; whether it has a sign is the parameter's matter.
-    Word(u16),
-    /// A register or a position.
-    Long(i32),
-}
-
-/// Why bytes are no answer to a message.
-#[derive(Clone, Copy, PartialEq, Eq, Error)]
-pub enum AnswerError {
-    /// Answers have eight bytes.
-    #[error("{0} bytes in the answer where 8 are due")]
-    Length(usize),
-    /// Its first bytes are not those of the message.
-    #[error("the answer belongs to another message")]
-    Other,
-}
-fieldbeat_core::debug_as_display!(AnswerError);
-
-fn whole(payload: &[u8]) -> Result<&Payload, AnswerError> {
-    payload.try_into().map_err(|_| AnswerError::Length(payload.len()))
+        _ => u16::from_be_bytes([a, b]).into(),
+    })
 }
 
 /// What a drive says of its hardware and firmware.

@@ -4,12 +4,12 @@ use std::collections::HashSet;
 
 use super::super::assembly::{self, Condition, IoCode, Letters, alarms, command, status};
 use super::super::cip;
-use super::super::message::{Answer, AnswerError, Buffered, Immediate, PROFILE_PATH, ProfileCode};
+use super::super::message::{self, PROFILE_PATH, Payload, ProfileCode, answer, immediate};
 use super::super::opcodes::{OPCODES, PARAMETERS, opcode, parameter};
 use super::*;
 
-fn buffered(name: &str, value: i64) -> Buffered {
-    Buffered { opcode: opcode(name).expect(name), field: 0, value }
+fn buffered(name: &str, value: i64) -> Option<Payload> {
+    message::buffered(opcode(name).expect(name), 0, value)
 }
 
 #[test]
@@ -30,10 +30,10 @@ fn buffered_commands_are_those_of_the_host_command_reference_with_their_operands
         ("JS", -2, "00 01 00 1A 00 00 FF FE"),
         ("FD", io("3R") << 16 | io("2L"), "00 01 00 69 52 B3 4C B2"),
     ] {
-        assert_eq!(buffered(name, value).encode().expect(name)[..], hex(golden), "{name}");
+        assert_eq!(buffered(name, value).expect(name)[..], hex(golden), "{name}");
     }
-    let register = Buffered { field: b'3', ..buffered("RX", -5) };
-    assert_eq!(register.encode().unwrap()[..], hex("00 01 33 AE FF FF FF FB"));
+    let with_field = |name, field, value| message::buffered(opcode(name).unwrap(), field, value);
+    assert_eq!(with_field("RX", b'3', -5).unwrap()[..], hex("00 01 33 AE FF FF FF FB"));
     // Operands that a command does not have.
     for (name, low, high) in [
         ("FL", 0, 0),
@@ -43,38 +43,39 @@ fn buffered_commands_are_those_of_the_host_command_reference_with_their_operands
         ("DI", -2_147_483_648, 2_147_483_647),
     ] {
         for value in [low, high] {
-            assert!(buffered(name, value).encode().is_some(), "{name} {value}");
+            assert!(buffered(name, value).is_some(), "{name} {value}");
         }
         for value in [low - 1, high + 1, i64::MIN, i64::MAX] {
-            assert_eq!(buffered(name, value).encode(), None, "{name} {value}");
+            assert_eq!(buffered(name, value), None, "{name} {value}");
         }
-        assert_eq!(Buffered { field: 1, ..buffered(name, 0) }.encode(), None, "{name}");
+        assert_eq!(with_field(name, 1, 0), None, "{name}");
     }
-    let field = Buffered { field: b'5', ..buffered("WD", 0) };
-    assert_eq!(field.encode().unwrap()[..], hex("00 01 35 BF 00 00 00 00"));
+    assert_eq!(with_field("WD", b'5', 0).unwrap()[..], hex("00 01 35 BF 00 00 00 00"));
     assert_eq!(opcode("SJ"), None);
 }
 
 #[test]
 fn an_answer_to_a_command_is_its_own_or_named() {
-    let ac = Immediate::ReadParameter(parameter("AC").unwrap().index);
+    let ac = message::immediate(immediate::READ_PARAMETER, parameter("AC").unwrap().index, 0);
+    let absolute = message::immediate(immediate::READ_POSITION, 1, 0);
+    let reset = message::immediate(immediate::RESET_ALARM, 0, 0);
     for (message, text, expected) in [
-        (ac, "00 02 84 1E 02 58 00 00", Ok(Answer::Word(600))),
-        (Immediate::ReadAbsolute, "00 02 88 01 87 65 43 21", Ok(Answer::Long(0x8765_4321_u32 as i32))),
-        (Immediate::ResetAlarm, "00 02 8E 00 02 00 00 00", Ok(Answer::Status(status::ALARM))),
+        (ac, "00 02 84 1E 02 58 00 00", Some(600)),
+        (absolute, "00 02 88 01 87 65 43 21", Some(0x8765_4321)),
+        (reset, "00 02 8E 00 02 00 00 00", Some(status::ALARM.into())),
         // Of the encoder, of a buffered command, too short, too long.
-        (Immediate::ReadAbsolute, "00 02 88 00 87 65 43 21", Err(AnswerError::Other)),
-        (Immediate::ReadAbsolute, "00 01 88 01 87 65 43 21", Err(AnswerError::Other)),
-        (Immediate::ReadAbsolute, "00 02 88 01 87 65 43", Err(AnswerError::Length(7))),
-        (Immediate::ReadAbsolute, "00 02 88 01 87 65 43 21 00", Err(AnswerError::Length(9))),
+        (absolute, "00 02 88 00 87 65 43 21", None),
+        (absolute, "00 01 88 01 87 65 43 21", None),
+        (absolute, "00 02 88 01 87 65 43", None),
+        (absolute, "00 02 88 01 87 65 43 21 00", None),
     ] {
-        assert_eq!(message.answer(&hex(text)), expected, "{text}");
+        assert_eq!(answer(&message, &hex(text)), expected, "{text}");
     }
-    let answer = hex("00 01 00 1E 00 09 00 00");
-    let ac = buffered("AC", 600);
-    assert_eq!(ac.answer(&answer), Ok(status::ENABLED | status::IN_POSITION));
-    assert_eq!(buffered("DE", 600).answer(&answer), Err(AnswerError::Other));
-    assert_eq!(ac.answer(&answer[1..]), Err(AnswerError::Length(7)));
+    let bytes = hex("00 01 00 1E 00 09 00 00");
+    let ac = buffered("AC", 600).unwrap();
+    assert_eq!(answer(&ac, &bytes), Some((status::ENABLED | status::IN_POSITION).into()));
+    assert_eq!(answer(&buffered("DE", 600).unwrap(), &bytes), None);
+    assert_eq!(answer(&ac, &bytes[1..]), None);
 }
 
 #[test]
