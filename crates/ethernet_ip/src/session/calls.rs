@@ -184,17 +184,16 @@ impl Calls {
         }
     }
 
-    /// Appends the message of the call that is to be sent, and returns when its answer is due at the latest. `None`: it
-    /// was refused.
-    pub(super) fn send(&mut self, end: &SessionEnd, out: &mut Vec<u8>) -> Option<Time> {
+    /// The message of the call that is to be sent, and when its answer is due at the latest. `None`: it was refused.
+    pub(super) fn send(&mut self, end: &SessionEnd) -> Option<(Time, Vec<u8>)> {
         let active = self.active.as_mut()?;
         if active.commands && !end.begin_commanding() {
             self.end(Err(CallError::Commands));
             return None;
         }
         active.sent = true;
-        cip::request(out, active.message.service, &active.message.path, &active.message.data);
-        Some(active.until)
+        let Message { service, path, data } = &active.message;
+        Some((active.until, cip::request(*service, path, data)))
     }
 
     /// Whether this can be the answer to the call that was sent.

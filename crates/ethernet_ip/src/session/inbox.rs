@@ -3,7 +3,6 @@
 
 use std::net::{Ipv4Addr, SocketAddrV4};
 
-use super::opening::Next;
 use super::requests::{STATUS, read_register};
 use super::{Connected, Io, Joined, Life, Open, Phase, Session, Way, What, words};
 use crate::exchange::{Connection, News, Outputs};
@@ -16,23 +15,6 @@ use crate::wire::encapsulation::{self, Frame, Identity, Unconnected, command};
 use crate::wire::message::{ProfileCode, answer};
 use fieldbeat_core::axis::acyclic::{CallError, long};
 use fieldbeat_core::time::Time;
-
-/// Where packets of a new connection go, as the drive says it.
-#[derive(Clone, Copy, Debug, Default)]
-struct Addresses {
-    outgoing: Option<SocketAddrV4>,
-    incoming: Option<SocketAddrV4>,
-}
-
-/// What the answer to an opening leads to.
-enum Opening {
-    /// It is open.
-    Done,
-    /// It was refused.
-    Refused(Status),
-    /// Nobody can use it.
-    Useless,
-}
 
 impl Session {
     /// Takes in what arrived, split anywhere; `Err`: the connection cannot be used any more.
@@ -73,8 +55,7 @@ impl Session {
                     return self.refused_by_encapsulation(header.status);
                 }
                 if let Some(unconnected) = Unconnected::parse(frame.data) {
-                    let Unconnected { message, outgoing, incoming } = unconnected;
-                    return self.message(now, message, Addresses { outgoing, incoming }, out);
+                    return self.message(now, unconnected, out);
                 }
             }
             command::SEND_UNIT_DATA
@@ -83,7 +64,8 @@ impl Session {
                 if let Some(connected) = encapsulation::Connected::parse(frame.data)
                     && self.is_due_on(connected.connection, connected.sequence)
                 {
-                    return self.message(now, connected.message, Addresses::default(), out);
+                    let message = connected.message;
+                    return self.message(now, Unconnected { message, outgoing: None, incoming: None }, out);
                 }
             }
             _ => {}
@@ -116,7 +98,7 @@ impl Session {
             return Err(format!("the drive refuses to register a session: {}", header.status));
         }
         self.handle = header.session;
-        self.identify(now, out);
+        self.ask(now, out, What::Identity);
         Ok(())
     }
 
@@ -132,14 +114,8 @@ impl Session {
     }
 
     /// A message that is addressed as the answer to the request under way.
-    fn message(
-        &mut self,
-        now: Time,
-        message: &[u8],
-        addresses: Addresses,
-        out: &mut Vec<u8>,
-    ) -> Result<(), String> {
-        let fitting = Reply::parse(message)
+    fn message(&mut self, now: Time, come: Unconnected<'_>, out: &mut Vec<u8>) -> Result<(), String> {
+        let fitting = Reply::parse(come.message)
             .filter(|reply| self.pending.as_ref().is_some_and(|pending| self.fits(pending.what, reply)));
         let Some((reply, pending)) = fitting.and_then(|reply| Some((reply, self.pending.take()?))) else {
             self.unmatched += 1;
@@ -158,19 +134,22 @@ impl Session {
             }
             What::Open(open, outputs, version) => match Opened::parse(&reply, open.triad) {
                 // The triad was compared above.
-                Ok(opened) => self.opened(now, open, (outputs, version), &opened, addresses),
+                Ok(opened) => self.opened(now, open, (outputs, version), &opened, &come),
                 Err(ConnectionError::Refused(status)) => self.opening_refused(now, &status),
                 Err(why) => {
                     self.close_later(open);
                     self.pause(now, 0, |pause_ns| words::unusable(&why, pause_ns));
                 }
             },
-            What::OpenConnected(open) => match self.connected_opened(now, open, &reply) {
-                Opening::Done => {}
-                Opening::Refused(status) => {
+            What::OpenConnected(open) => match Opened::parse(&reply, open.triad) {
+                Ok(Opened { outgoing_id: outgoing, incoming_id: incoming, .. }) => {
+                    self.connected =
+                        Connected::Open { outgoing, incoming, opened: open, sequence: 0, used: now };
+                }
+                Err(ConnectionError::Refused(status)) => {
                     self.calls.end(Err(CallError::Refused(target::refusal(status))));
                 }
-                Opening::Useless => {
+                Err(_) => {
                     self.close_later(open);
                     self.calls.end(Err(CallError::Refused(target::BROKEN)));
                 }
@@ -222,7 +201,7 @@ impl Session {
         if self.drive.version.is_some() || self.life != Life::Serving {
             self.phase = Phase::Up;
         } else {
-            self.request_profile(now, out);
+            self.ask(now, out, What::Profile);
         }
         Ok(())
     }
@@ -247,7 +226,7 @@ impl Session {
         open: Open,
         (outputs, version): (Outputs, Version),
         opened: &Opened,
-        addresses: Addresses,
+        come: &Unconnected<'_>,
     ) {
         let (api_ns, counts_ns) =
             (u64::from(opened.incoming_api_us) * 1_000, self.drive.fresh_within_ns(self.period_ns));
@@ -256,7 +235,7 @@ impl Session {
             self.close_later(open);
             return self.pause(now, 0, |pause_ns| words::too_slow(api_ns, counts_ns, pause_ns));
         }
-        let group = match self.join(addresses.incoming) {
+        let group = match self.join(come.incoming) {
             Ok(group) => group,
             Err(why) => {
                 self.close_later(open);
@@ -267,8 +246,19 @@ impl Session {
         self.pause_ns = super::LEAST_PAUSE_NS;
         // 0 is no generation.
         self.generation = self.generation.checked_add(1).unwrap_or(1);
-        let connection =
-            self.connection(opened, outputs, version, self.destination(addresses.outgoing), self.generation);
+        let connection = Connection {
+            generation: self.generation,
+            outgoing: opened.outgoing_id,
+            incoming: opened.incoming_id,
+            destination: self.destination(come.outgoing),
+            source: *self.drive.address.ip(),
+            outgoing_api_ns: u64::from(opened.outgoing_api_us) * 1_000,
+            incoming_api_ns: api_ns,
+            timeout_ns: api_ns * u64::from(timeout_factor(self.drive.multiplier(self.period_ns))),
+            outputs,
+            version,
+            layout: self.drive.layout,
+        };
         self.io = Io::Open { generation: self.generation, opened: open, _group: group };
         self.note(None);
         // A configured version is refused or described by `check`.
@@ -302,7 +292,7 @@ impl Session {
 
     fn opening_refused(&mut self, now: Time, status: &Status) {
         let access = self.access(self.version.unwrap_or(Version::V2));
-        if self.form.refused(access, status) == Next::Another {
+        if self.form.refused(access, status) {
             self.io = Io::Closed { from: now };
             return;
         }
@@ -310,48 +300,5 @@ impl Session {
         let is_owned = status.failure() == Some(Status::OWNED) && access == Access::Owner;
         let least_ns = if is_owned { self.drive.timeout_ns(self.period_ns) } else { 0 };
         self.pause(now, least_ns, |pause_ns| words::refused(status, pause_ns));
-    }
-
-    fn connected_opened(&mut self, now: Time, open: Open, reply: &Reply<'_>) -> Opening {
-        match Opened::parse(reply, open.triad) {
-            Ok(Opened { outgoing_id, incoming_id, .. }) => {
-                self.connected = Connected::Open {
-                    outgoing: outgoing_id,
-                    incoming: incoming_id,
-                    opened: open,
-                    sequence: 0,
-                    used: now,
-                };
-                Opening::Done
-            }
-            Err(ConnectionError::Refused(status)) => Opening::Refused(status),
-            Err(_) => Opening::Useless,
-        }
-    }
-
-    /// What the loop gets of a connection that was opened.
-    fn connection(
-        &self,
-        opened: &Opened,
-        outputs: Outputs,
-        version: Version,
-        destination: SocketAddrV4,
-        generation: u32,
-    ) -> Connection {
-        let incoming_api_ns = u64::from(opened.incoming_api_us) * 1_000;
-        let factor = timeout_factor(self.drive.multiplier(self.period_ns));
-        Connection {
-            generation,
-            outgoing: opened.outgoing_id,
-            incoming: opened.incoming_id,
-            destination,
-            source: *self.drive.address.ip(),
-            outgoing_api_ns: u64::from(opened.outgoing_api_us) * 1_000,
-            incoming_api_ns,
-            timeout_ns: incoming_api_ns * u64::from(factor),
-            outputs,
-            version,
-            layout: self.drive.layout,
-        }
     }
 }

@@ -96,7 +96,7 @@ enum Connected {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Open {
     triad: Triad,
-    target: Target<'static>,
+    target: Target,
 }
 
 /// A group that was joined; left when this is dropped.
@@ -406,7 +406,7 @@ impl Session {
     /// The next request, or something that needs none; false if there is nothing to do now.
     fn step(&mut self, now: Time, out: &mut Vec<u8>) -> bool {
         if let Some(open) = self.to_close.front().copied() {
-            self.request(now, out, What::Close, |message| forward_close(message, open.triad, &open.target));
+            self.request(now, out, What::Close, &forward_close(open.triad, open.target));
             return true;
         }
         match self.life {
@@ -421,7 +421,7 @@ impl Session {
         }
         if self.probe_due || self.calls.owes() {
             self.probe_due = false;
-            self.probe(now, out);
+            self.ask(now, out, What::Probe);
             return true;
         }
         if self.facts_due {
@@ -458,7 +458,7 @@ impl Session {
     /// Sends the next call, or opens the connection for it.
     fn call(&mut self, now: Time, out: &mut Vec<u8>) -> bool {
         if !self.drive.cyclic && self.calls.waits_for_power() {
-            self.request_power(now, out);
+            self.ask(now, out, What::Power);
             return true;
         }
         let connected = match (self.drive.explicit, self.connected) {
@@ -469,8 +469,7 @@ impl Session {
             (Explicit::Connected, Connected::Open { .. }) => true,
             (Explicit::Unconnected, _) => false,
         };
-        let mut message = Vec::new();
-        if let Some(until) = self.calls.send(&self.end, &mut message) {
+        if let Some((until, message)) = self.calls.send(&self.end) {
             if connected {
                 self.send_connected(now, out, What::Call, until, message);
             } else {
@@ -484,10 +483,10 @@ impl Session {
         if let Connected::Open { used, .. } = self.connected
             && now.since(used) >= CONNECTED_IDLE_NS
         {
-            return self.probe_connected(now, out);
+            return self.send_connected(now, out, What::Probe, now + 2 * ANSWER_NS, What::Probe.message());
         }
         if now.since(self.last_sent) >= IDLE_NS {
-            self.probe(now, out);
+            self.ask(now, out, What::Probe);
             return true;
         }
         false
@@ -567,9 +566,7 @@ impl Handshake for Session {
         self.facts_due = true;
         let context = self.next_context();
         encapsulation::register_session(out, context);
-        self.last_sent = now;
-        let way = Way::Unconnected { context };
-        self.pending = Some(Pending { what: What::Register, way, sent: now, until: now + ANSWER_NS });
+        self.wait(now, What::Register, Way::Unconnected { context }, now + ANSWER_NS);
         HandshakeState::More
     }
 

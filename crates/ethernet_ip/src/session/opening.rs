@@ -14,15 +14,6 @@ const HEARTBEATS: [u8; 3] = [2, 6, 0];
 /// The configuration data of the second attempt.
 const ZEROS: [u8; 2] = [0; 2];
 
-/// What to do after a refusal.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Next {
-    /// The next form, at once.
-    Another,
-    /// Nothing is left to be tried: after a pause from the beginning.
-    Pause,
-}
-
 /// The form of the next request.
 #[derive(Clone, Debug)]
 pub(super) struct Form {
@@ -79,8 +70,8 @@ impl Form {
         self.repeated = false;
     }
 
-    /// The drive refused it.
-    pub(super) fn refused(&mut self, access: Access, status: &Status) -> Next {
+    /// The drive refused it. True if another form is left to be tried at once; else it begins anew after a pause.
+    pub(super) fn refused(&mut self, access: Access, status: &Status) -> bool {
         let next = match status.failure() {
             None if status.general == Status::NO_SERVICE && !self.large => {
                 self.large = true;
@@ -98,11 +89,10 @@ impl Form {
             Some(Status::IN_USE) => !std::mem::replace(&mut self.repeated, true),
             _ => false,
         };
-        if next {
-            return Next::Another;
+        if !next {
+            (self.zeros, self.size, self.tried, self.large, self.repeated) = (false, 0, 1, false, false);
         }
-        (self.zeros, self.size, self.tried, self.large, self.repeated) = (false, 0, 1, false, false);
-        Next::Pause
+        next
     }
 
     fn next_size(&mut self, wanted: Option<u16>) -> bool {

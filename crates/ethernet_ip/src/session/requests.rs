@@ -29,18 +29,28 @@ pub(super) const fn read_register(register: u8) -> Payload {
     message::immediate(immediate::READ_REGISTER, register, 0)
 }
 
+impl What {
+    /// The request of something that is only read.
+    pub(super) fn message(self) -> Vec<u8> {
+        match self {
+            What::Identity => cip::request(service::GET_ATTRIBUTES_ALL, &IDENTITY, &[]),
+            What::Profile => cip::request(service::GET_ATTRIBUTE_SINGLE, &message::PROFILE_PATH, &[]),
+            What::Homed(register) => cip::request(service::VENDOR, &message::PATH, &read_register(register)),
+            What::Power => cip::request(service::VENDOR, &message::PATH, &STATUS),
+            _ => cip::request(service::GET_ATTRIBUTE_SINGLE, &VENDOR_ID, &[]),
+        }
+    }
+}
+
 impl Session {
-    /// Sends a request of the session's own, whose message `fill` appends.
-    pub(super) fn request(
-        &mut self,
-        now: Time,
-        out: &mut Vec<u8>,
-        what: What,
-        fill: impl FnOnce(&mut Vec<u8>),
-    ) {
-        let mut message = Vec::new();
-        fill(&mut message);
-        self.send(now, out, what, now + ANSWER_NS, &message, None);
+    /// Requests something that is only read.
+    pub(super) fn ask(&mut self, now: Time, out: &mut Vec<u8>, what: What) {
+        self.request(now, out, what, &what.message());
+    }
+
+    /// Sends a request of the session's own.
+    pub(super) fn request(&mut self, now: Time, out: &mut Vec<u8>, what: What, message: &[u8]) {
+        self.send(now, out, what, now + ANSWER_NS, message, None);
     }
 
     /// Sends an unconnected message.
@@ -55,8 +65,13 @@ impl Session {
     ) {
         let context = self.next_context();
         encapsulation::send_rr_data(out, self.handle, context, message, incoming);
+        self.wait(now, what, Way::Unconnected { context }, until);
+    }
+
+    /// What was sent now is the request under way.
+    pub(super) fn wait(&mut self, now: Time, what: What, way: Way, until: Time) {
         self.last_sent = now;
-        self.pending = Some(Pending { what, way: Way::Unconnected { context }, sent: now, until });
+        self.pending = Some(Pending { what, way, sent: now, until });
     }
 
     /// Sends a message on the class 3 connection; false if there is none.
@@ -74,8 +89,7 @@ impl Session {
         *used = now;
         encapsulation::send_unit_data(out, self.handle, *outgoing, *sequence, &message);
         let way = Way::Connected { sequence: *sequence, repeat: Some(message) };
-        self.last_sent = now;
-        self.pending = Some(Pending { what, way, sent: now, until });
+        self.wait(now, what, way, until);
         true
     }
 
@@ -85,45 +99,10 @@ impl Session {
         self.context
     }
 
-    /// Requests something that every device answers.
-    pub(super) fn probe(&mut self, now: Time, out: &mut Vec<u8>) {
-        self.request(now, out, What::Probe, |message| {
-            cip::request(message, service::GET_ATTRIBUTE_SINGLE, &VENDOR_ID, &[]);
-        });
-    }
-
-    /// The same on the class 3 connection.
-    pub(super) fn probe_connected(&mut self, now: Time, out: &mut Vec<u8>) -> bool {
-        let mut message = Vec::new();
-        cip::request(&mut message, service::GET_ATTRIBUTE_SINGLE, &VENDOR_ID, &[]);
-        self.send_connected(now, out, What::Probe, now + 2 * ANSWER_NS, message)
-    }
-
-    pub(super) fn identify(&mut self, now: Time, out: &mut Vec<u8>) {
-        self.request(now, out, What::Identity, |message| {
-            cip::request(message, service::GET_ATTRIBUTES_ALL, &IDENTITY, &[]);
-        });
-    }
-
-    pub(super) fn request_profile(&mut self, now: Time, out: &mut Vec<u8>) {
-        self.request(now, out, What::Profile, |message| {
-            cip::request(message, service::GET_ATTRIBUTE_SINGLE, &message::PROFILE_PATH, &[]);
-        });
-    }
-
-    /// Reads the status of the drive.
-    pub(super) fn request_power(&mut self, now: Time, out: &mut Vec<u8>) {
-        self.request(now, out, What::Power, |out| {
-            cip::request(out, service::VENDOR, &message::PATH, &STATUS);
-        });
-    }
-
     /// Reads what the loop has to know of the drive.
     pub(super) fn read_facts(&mut self, now: Time, out: &mut Vec<u8>) {
         match self.drive.homed_register {
-            Some(register) => self.request(now, out, What::Homed(register), |out| {
-                cip::request(out, service::VENDOR, &message::PATH, &read_register(register));
-            }),
+            Some(register) => self.ask(now, out, What::Homed(register)),
             None => self.facts(None),
         }
     }
@@ -146,11 +125,10 @@ impl Session {
         u32::from(self.index) << 16 | u32::from(triad.serial)
     }
 
-    /// What a device compares itself before it opens a connection. It is none if it may be any.
-    fn key(&self) -> Option<Key> {
+    /// What a device compares itself before it opens a connection.
+    fn key(&self) -> Key {
         let Expected { vendor, product, .. } = self.drive.expected;
-        let key = Key { vendor: vendor.unwrap_or(0), product_code: product.unwrap_or(0), ..Key::default() };
-        (key != Key::default()).then_some(key)
+        Key { vendor: vendor.unwrap_or(0), product_code: product.unwrap_or(0) }
     }
 
     /// Opens the class 1 connection.
@@ -170,24 +148,20 @@ impl Session {
                 (Outputs::Heartbeat(size), size.into())
             }
         };
+        let (target, rpi_ns) = (Target::assemblies(access, version), self.drive.rpi_ns(self.period_ns));
+        let input_rpi_ns = self.drive.input_rpi_ns(self.period_ns);
         let request = ForwardOpen {
-            outgoing_id: 0,
             incoming_id,
             triad,
             multiplier: self.drive.multiplier(self.period_ns),
-            outgoing: Direction::cyclic(us(self.drive.rpi_ns(self.period_ns)), size, Route::PointToPoint),
-            incoming: Direction::cyclic(
-                us(self.drive.input_rpi_ns(self.period_ns)),
-                incoming_size(version),
-                route,
-            ),
+            outgoing: Direction { rpi_us: us(rpi_ns), size, route: Route::PointToPoint },
+            incoming: Direction { rpi_us: us(input_rpi_ns), size: incoming_size(version), route },
             key: self.key(),
-            target: Target::assemblies(access, version, self.form.configuration()),
+            target,
+            configuration: self.form.configuration(),
             large: self.form.is_large(),
         };
-        let mut message = Vec::new();
-        request.emit(&mut message);
-        let target = Target::assemblies(access, version, Configuration::NONE);
+        let message = request.message();
         let elsewhere = route == Route::PointToPoint && self.bind.port() != IO_PORT;
         // The drive takes the port only.
         let incoming = elsewhere.then(|| SocketAddrV4::new(Ipv4Addr::UNSPECIFIED, self.bind.port()));
@@ -199,9 +173,9 @@ impl Session {
     /// Opens the class 3 connection.
     pub(super) fn connect(&mut self, now: Time, out: &mut Vec<u8>) {
         let triad = self.triad(now);
-        let direction = Direction::explicit(CONNECTED_RPI_US, CONNECTED_SIZE);
+        let direction =
+            Direction { rpi_us: CONNECTED_RPI_US, size: CONNECTED_SIZE, route: Route::PointToPoint };
         let request = ForwardOpen {
-            outgoing_id: 0,
             incoming_id: self.incoming_id(triad),
             triad,
             multiplier: CONNECTED_MULTIPLIER,
@@ -209,9 +183,10 @@ impl Session {
             incoming: direction,
             key: self.key(),
             target: Target::Messages,
+            configuration: Configuration::NONE,
             large: false,
         };
         let what = What::OpenConnected(Open { triad, target: Target::Messages });
-        self.request(now, out, what, |message| request.emit(message));
+        self.request(now, out, what, &request.message());
     }
 }

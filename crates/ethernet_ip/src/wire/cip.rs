@@ -38,19 +38,13 @@ pub mod class {
     pub const VENDOR: u16 = 0x64;
 }
 
-/// Which revision of which device is wanted; 0 = any.
+/// Which device is wanted; 0 = any. Without either there is no segment.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Key {
     /// The vendor.
     pub vendor: u16,
-    /// The device type.
-    pub device_type: u16,
     /// The product code.
     pub product_code: u16,
-    /// The major revision; bit 7: a later one that is compatible will do.
-    pub major: u8,
-    /// The minor revision.
-    pub minor: u8,
 }
 
 /// A segment of a path.
@@ -97,14 +91,12 @@ fn path(out: &mut Vec<u8>, segments: &[Segment<'_>]) -> u8 {
             Segment::Instance(instance) => logical(out, 0x24, instance),
             Segment::Point(point) => logical(out, 0x2C, point),
             Segment::Attribute(attribute) => logical(out, 0x30, attribute),
-            Segment::Key(key) => {
+            Segment::Key(Key { vendor: 0, product_code: 0 }) | Segment::Data(Configuration([])) => (),
+            Segment::Key(Key { vendor, product_code }) => {
                 out.extend([0x34, 0x04]);
-                out.extend(
-                    [key.vendor, key.device_type, key.product_code].map(u16::to_le_bytes).as_flattened(),
-                );
-                out.extend([key.major, key.minor]);
+                // Of any device type and revision.
+                out.extend([vendor, 0, product_code, 0].map(u16::to_le_bytes).as_flattened());
             }
-            Segment::Data(Configuration([])) => (),
             Segment::Data(Configuration(data)) => {
                 // At most `Configuration::MAX`, so that it fits.
                 out.extend([0x80, data.len().div_ceil(2) as u8]);
@@ -138,11 +130,12 @@ pub(super) fn sized_path(out: &mut Vec<u8>, between: &[u8], segments: &[Segment<
     }
 }
 
-/// Appends a request.
-pub fn request(out: &mut Vec<u8>, service: u8, path: &[Segment<'_>], data: &[u8]) {
-    out.push(service);
-    sized_path(out, &[], path);
-    out.extend(data);
+/// A request.
+pub fn request(service: u8, path: &[Segment<'_>], data: &[u8]) -> Vec<u8> {
+    let mut message = vec![service];
+    sized_path(&mut message, &[], path);
+    message.extend(data);
+    message
 }
 
 /// A reply.

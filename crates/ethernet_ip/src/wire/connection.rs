@@ -27,62 +27,22 @@ pub enum Route {
     PointToPoint,
 }
 
-/// How urgent packets are.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Priority {
-    /// Explicit messages.
-    Low = 0,
-    /// Process data.
-    Scheduled = 2,
-}
-
-/// The network connection parameters of one direction, and its interval.
+/// One direction of a connection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Direction {
     /// The requested packet interval, µs.
     pub rpi_us: u32,
     /// Everything from the CIP sequence count on, bytes.
     pub size: u16,
-    /// `size` is the most: a packet may be shorter.
-    pub variable: bool,
-    /// How urgent they are.
-    pub priority: Priority,
-    /// How they go.
+    /// How its packets go.
     pub route: Route,
-    /// Several originators own the outputs together.
-    pub redundant_owner: bool,
 }
 
 impl Direction {
-    /// Process data of a fixed size.
-    pub fn cyclic(rpi_us: u32, size: u16, route: Route) -> Direction {
-        Direction {
-            rpi_us,
-            size,
-            variable: false,
-            priority: Priority::Scheduled,
-            route,
-            redundant_owner: false,
-        }
-    }
-
-    /// Explicit messages up to this size.
-    pub fn explicit(rpi_us: u32, size: u16) -> Direction {
-        let (priority, route) = (Priority::Low, Route::PointToPoint);
-        Direction { rpi_us, size, variable: true, priority, route, redundant_owner: false }
-    }
-
-    /// The upper 7 bits of the parameters.
-    fn flags(&self) -> u8 {
-        u8::from(self.redundant_owner) << 7
-            | (self.route as u8) << 5
-            | (self.priority as u8) << 2
-            | u8::from(self.variable) << 1
-    }
-
-    fn emit(&self, out: &mut Vec<u8>, large: bool) {
+    /// `kind`: the priority of the packets, and whether they may be shorter.
+    fn emit(&self, out: &mut Vec<u8>, kind: u8, large: bool) {
         out.extend(self.rpi_us.to_le_bytes());
-        let flags = self.flags();
+        let flags = (self.route as u8) << 5 | kind;
         if large {
             out.extend((u32::from(flags) << 24 | u32::from(self.size)).to_le_bytes());
         } else {
@@ -128,58 +88,54 @@ pub enum Access {
 
 /// What a connection is to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Target<'a> {
+pub enum Target {
     /// Process data: class 1, cyclic.
     Assemblies {
         /// The point of what the originator sends.
         output: u16,
         /// The point of what the target sends.
         input: u16,
-        /// Data for the configuration assembly.
-        configuration: Configuration<'a>,
     },
     /// Explicit messages: class 3, server.
     Messages,
 }
 
-impl<'a> Target<'a> {
+impl Target {
     /// The assemblies of a drive. A unit of the first version has no outputs to own: `access` must not be the owner.
-    pub fn assemblies(access: Access, version: Version, configuration: Configuration<'a>) -> Target<'a> {
+    pub fn assemblies(access: Access, version: Version) -> Target {
         let output = match access {
             Access::Owner => assembly::OUTPUT,
             Access::InputOnly => assembly::INPUT_ONLY,
             Access::ListenOnly => assembly::LISTEN_ONLY,
         };
-        Target::Assemblies { output, input: assembly::input(version), configuration }
+        Target::Assemblies { output, input: assembly::input(version) }
     }
 
-    /// The class of the transport, its trigger and its direction.
-    fn transport(&self) -> u8 {
+    /// The class of the transport, its trigger and its direction; and the packets: scheduled and of a fixed size, or of
+    /// low priority and any size up to that.
+    fn transport(self) -> (u8, u8) {
         match self {
-            Target::Assemblies { .. } => 0x01,
-            Target::Messages => 0xA3,
+            Target::Assemblies { .. } => (0x01, 2 << 2),
+            Target::Messages => (0xA3, 1 << 1),
         }
     }
 
     /// Appends the words of the path, `between` and the path.
-    fn path(&self, out: &mut Vec<u8>, between: &[u8], key: Option<Key>) {
-        let mut path = [Segment::Data(Configuration::NONE); 6];
-        if let Some(key) = key {
-            path[0] = Segment::Key(key);
-        }
-        match *self {
-            Target::Assemblies { output, input, configuration } => {
-                path[1] = Segment::Class(class::ASSEMBLY);
-                path[2] = Segment::Instance(assembly::CONFIGURATION);
-                path[3] = Segment::Point(output);
-                path[4] = Segment::Point(input);
-                path[5] = Segment::Data(configuration);
-            }
+    fn path(self, out: &mut Vec<u8>, between: &[u8], key: Key, configuration: Configuration<'_>) {
+        let [class, instance, points @ ..] = match self {
+            Target::Assemblies { output, input } => [
+                Segment::Class(class::ASSEMBLY),
+                Segment::Instance(assembly::CONFIGURATION),
+                Segment::Point(output),
+                Segment::Point(input),
+            ],
             Target::Messages => {
-                path[1] = Segment::Class(class::MESSAGE_ROUTER);
-                path[2] = Segment::Instance(1);
+                let none = Segment::Data(Configuration::NONE);
+                [Segment::Class(class::MESSAGE_ROUTER), Segment::Instance(1), none, none]
             }
-        }
+        };
+        let [output, input] = points;
+        let path = [Segment::Key(key), class, instance, output, input, Segment::Data(configuration)];
         cip::sized_path(out, between, &path);
     }
 }
@@ -192,9 +148,7 @@ pub const fn incoming_size(version: Version) -> u16 {
 /// Opens a connection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ForwardOpen<'a> {
-    /// The id that our packets are to have; the drive chooses it: 0.
-    pub outgoing_id: u32,
-    /// The id that the drive's packets are to have, unless it sends to a group.
+    /// The id that the drive's packets are to have, unless it sends to a group. It chooses that of ours.
     pub incoming_id: u32,
     /// Whose connection it is.
     pub triad: Triad,
@@ -205,42 +159,40 @@ pub struct ForwardOpen<'a> {
     /// The drive's packets.
     pub incoming: Direction,
     /// Which device has to be there.
-    pub key: Option<Key>,
+    pub key: Key,
     /// What it is to.
-    pub target: Target<'a>,
+    pub target: Target,
+    /// Data for the configuration assembly.
+    pub configuration: Configuration<'a>,
     /// In the large form, which a connection of more than 511 bytes always has.
     pub large: bool,
 }
 
 impl ForwardOpen<'_> {
-    /// Appends the request.
-    pub fn emit(&self, out: &mut Vec<u8>) {
+    /// The request.
+    pub fn message(&self) -> Vec<u8> {
         let large = self.large || self.outgoing.size.max(self.incoming.size) > SMALL_MAX;
         let service = if large { service::LARGE_FORWARD_OPEN } else { service::FORWARD_OPEN };
-        cip::request(out, service, &MANAGER, &PATIENCE);
-        out.extend(self.outgoing_id.to_le_bytes());
-        out.extend(self.incoming_id.to_le_bytes());
-        self.triad.emit(out);
-        out.extend([self.multiplier, 0, 0, 0]);
-        self.outgoing.emit(out, large);
-        self.incoming.emit(out, large);
-        out.push(self.target.transport());
-        self.target.path(out, &[], self.key);
+        let mut message = cip::request(service, &MANAGER, &PATIENCE);
+        message.extend([0; 4]);
+        message.extend(self.incoming_id.to_le_bytes());
+        self.triad.emit(&mut message);
+        message.extend([self.multiplier, 0, 0, 0]);
+        let (transport, kind) = self.target.transport();
+        self.outgoing.emit(&mut message, kind, large);
+        self.incoming.emit(&mut message, kind, large);
+        message.push(transport);
+        self.target.path(&mut message, &[], self.key, self.configuration);
+        message
     }
 }
 
-/// Appends the request to close a connection. Drives look at the triad only.
-pub fn forward_close(out: &mut Vec<u8>, triad: Triad, target: &Target<'_>) {
-    cip::request(out, service::FORWARD_CLOSE, &MANAGER, &PATIENCE);
-    triad.emit(out);
-    let target = match *target {
-        // The data was for the opening.
-        Target::Assemblies { output, input, .. } => {
-            Target::Assemblies { output, input, configuration: Configuration::NONE }
-        }
-        Target::Messages => Target::Messages,
-    };
-    target.path(out, &[0], None);
+/// The request to close a connection. Drives look at the triad only.
+pub fn forward_close(triad: Triad, target: Target) -> Vec<u8> {
+    let mut message = cip::request(service::FORWARD_CLOSE, &MANAGER, &PATIENCE);
+    triad.emit(&mut message);
+    target.path(&mut message, &[0], Key::default(), Configuration::NONE);
+    message
 }
 
 /// Why a connection is not open, or not closed.
@@ -277,17 +229,8 @@ pub struct Opened {
 impl Opened {
     /// What the drive answered to the opening of the connection with this triad.
     pub fn parse(reply: &Reply<'_>, triad: Triad) -> Result<Opened, ConnectionError> {
-        if !matches!(reply.service, service::FORWARD_OPEN | service::LARGE_FORWARD_OPEN) {
-            return Err(ConnectionError::Other);
-        }
-        if !reply.status.is_ok() {
-            return Err(refused(reply, triad));
-        }
-        let mut reader = Reader(reply.data);
-        let (opened, answered) = Opened::read(&mut reader).ok_or(ConnectionError::Short)?;
-        if answered != triad {
-            return Err(ConnectionError::Other);
-        }
+        let opened =
+            answered(reply, &[service::FORWARD_OPEN, service::LARGE_FORWARD_OPEN], triad, Opened::read)?;
         if opened.outgoing_api_us == 0 || opened.incoming_api_us == 0 {
             return Err(ConnectionError::Interval);
         }
@@ -304,23 +247,28 @@ impl Opened {
 
 /// What the drive answered to the closing of the connection with this triad.
 pub fn closed(reply: &Reply<'_>, triad: Triad) -> Result<(), ConnectionError> {
-    if reply.service != service::FORWARD_CLOSE {
-        return Err(ConnectionError::Other);
-    }
-    if !reply.status.is_ok() {
-        return Err(refused(reply, triad));
-    }
-    match Triad::read(&mut Reader(reply.data)) {
-        None => Err(ConnectionError::Short),
-        Some(answered) if answered != triad => Err(ConnectionError::Other),
-        Some(_) => Ok(()),
-    }
+    answered(reply, &[service::FORWARD_CLOSE], triad, |reader| Some(((), Triad::read(reader)?)))
 }
 
-/// A refusal repeats the triad; some devices leave it out.
-fn refused(reply: &Reply<'_>, triad: Triad) -> ConnectionError {
-    match Triad::read(&mut Reader(reply.data)) {
-        Some(answered) if answered != triad => ConnectionError::Other,
-        _ => ConnectionError::Refused(reply.status),
+/// What `read` finds in the answer to one of these services, if it is that with this triad. A refusal repeats the
+/// triad; some devices leave it out.
+fn answered<T>(
+    reply: &Reply<'_>,
+    services: &[u8],
+    triad: Triad,
+    read: impl FnOnce(&mut Reader<'_>) -> Option<(T, Triad)>,
+) -> Result<T, ConnectionError> {
+    if !services.contains(&reply.service) {
+        return Err(ConnectionError::Other);
+    }
+    let mut reader = Reader(reply.data);
+    if !reply.status.is_ok() {
+        let other = Triad::read(&mut reader).is_some_and(|answered| answered != triad);
+        return Err(if other { ConnectionError::Other } else { ConnectionError::Refused(reply.status) });
+    }
+    match read(&mut reader) {
+        None => Err(ConnectionError::Short),
+        Some((_, answered)) if answered != triad => Err(ConnectionError::Other),
+        Some((found, _)) => Ok(found),
     }
 }

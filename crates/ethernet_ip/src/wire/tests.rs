@@ -40,19 +40,16 @@ fn with(fill: impl FnOnce(&mut Vec<u8>)) -> Vec<u8> {
 
 /// The opening of an exclusive owner, 10 ms, 16 intervals.
 fn owner() -> ForwardOpen<'static> {
+    let direction = |size| Direction { rpi_us: 10_000, size, route: Route::PointToPoint };
     ForwardOpen {
-        outgoing_id: 0,
         incoming_id: INCOMING_ID,
         triad: TRIAD,
         multiplier: 2,
-        outgoing: Direction::cyclic(10_000, super::io::OWNER_SIZE, Route::PointToPoint),
-        incoming: Direction::cyclic(
-            10_000,
-            super::connection::incoming_size(Version::V2),
-            Route::PointToPoint,
-        ),
-        key: None,
-        target: Target::assemblies(Access::Owner, Version::V2, Configuration::NONE),
+        outgoing: direction(super::io::OWNER_SIZE),
+        incoming: direction(super::connection::incoming_size(Version::V2)),
+        key: Key::default(),
+        target: Target::assemblies(Access::Owner, Version::V2),
+        configuration: Configuration::NONE,
         large: false,
     }
 }

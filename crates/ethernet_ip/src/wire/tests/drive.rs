@@ -80,7 +80,7 @@ fn an_answer_to_a_command_is_its_own_or_named() {
 
 #[test]
 fn hcr_profile_code() {
-    let request = with(|out| cip::request(out, cip::service::GET_ATTRIBUTE_SINGLE, &PROFILE_PATH, &[]));
+    let request = cip::request(cip::service::GET_ATTRIBUTE_SINGLE, &PROFILE_PATH, &[]);
     assert_eq!(request, hex("0E 03 20 64 24 00 30 01"));
     let mut data = hex("00 75 00 07 41 5F 00 01 03 4A");
     let code =

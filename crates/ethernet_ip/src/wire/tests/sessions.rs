@@ -10,7 +10,7 @@ use super::*;
 fn a_size_that_the_small_form_of_an_opening_cannot_say_makes_it_large() {
     let service = |size| {
         let outgoing = Direction { size, ..owner().outgoing };
-        with(|out| ForwardOpen { outgoing, ..owner() }.emit(out))[0]
+        ForwardOpen { outgoing, ..owner() }.message()[0]
     };
     assert_eq!((service(511), service(512)), (0x54, 0x5B));
     assert_eq!((timeout_factor(0), timeout_factor(7), timeout_factor(255)), (4, 512, 512));
@@ -20,43 +20,31 @@ fn a_size_that_the_small_form_of_an_opening_cannot_say_makes_it_large() {
 fn paths_are_those_of_the_sheet_in_an_opening_and_without_data_in_a_close() {
     // tshark
     let golden = hex("4E 02 20 06 24 01 0A 0E 01 00 34 12 EE FF C0 00 04 00 20 04 24 66 2C 70 2C 65");
-    for data in [&[][..], &[0, 0]] {
-        let target = Target::assemblies(Access::Owner, Version::V2, Configuration::new(data).unwrap());
-        assert_eq!(with(|out| forward_close(out, TRIAD, &target)), golden);
-    }
-    let key = Key { vendor: 60, device_type: 0x102, product_code: 3, major: 0x84, minor: 5 };
+    assert_eq!(forward_close(TRIAD, owner().target), golden);
+    let (key, any) = (Key { vendor: 60, product_code: 3 }, Key::default());
     for (access, version, data, key, golden) in [
-        (Access::Owner, Version::V2, &[0, 0][..], None, "06 20 04 24 66 2C 70 2C 65 80 01 00 00"),
+        (Access::Owner, Version::V2, &[0, 0][..], any, "06 20 04 24 66 2C 70 2C 65 80 01 00 00"),
         // Half a word is filled up.
-        (Access::Owner, Version::V2, &[1, 2, 3], None, "07 20 04 24 66 2C 70 2C 65 80 02 01 02 03 00"),
-        (Access::InputOnly, Version::V1, &[], None, "04 20 04 24 66 2C 67 2C 64"),
-        (Access::ListenOnly, Version::V2, &[], None, "04 20 04 24 66 2C 68 2C 65"),
-        (
-            Access::Owner,
-            Version::V2,
-            &[],
-            Some(key),
-            "09 34 04 3C 00 02 01 03 00 84 05 20 04 24 66 2C 70 2C 65",
-        ),
+        (Access::Owner, Version::V2, &[1, 2, 3], any, "07 20 04 24 66 2C 70 2C 65 80 02 01 02 03 00"),
+        (Access::InputOnly, Version::V1, &[], any, "04 20 04 24 66 2C 67 2C 64"),
+        (Access::ListenOnly, Version::V2, &[], any, "04 20 04 24 66 2C 68 2C 65"),
+        (Access::Owner, Version::V2, &[], key, "09 34 04 3C 00 00 00 03 00 00 00 20 04 24 66 2C 70 2C 65"),
     ] {
-        let target = Target::assemblies(access, version, Configuration::new(data).unwrap());
-        assert_eq!(
-            with(|out| ForwardOpen { target, key, ..owner() }.emit(out))[41..],
-            hex(golden),
-            "{golden}"
-        );
+        let (target, configuration) =
+            (Target::assemblies(access, version), Configuration::new(data).unwrap());
+        let open = ForwardOpen { target, configuration, key, ..owner() };
+        assert_eq!(open.message()[41..], hex(golden), "{golden}");
     }
     // The longest that is taken, and one more.
     let longest = [7; Configuration::MAX + 1];
     assert_eq!(Configuration::new(&longest), None);
     let configuration = Configuration::new(&longest[1..]).unwrap();
-    let target = Target::assemblies(Access::Owner, Version::V2, configuration);
-    let open = with(|out| ForwardOpen { target, key: Some(key), ..owner() }.emit(out));
+    let open = ForwardOpen { configuration, key, ..owner() }.message();
     assert_eq!(usize::from(open[41]) * 2, open.len() - 42);
     // Segments have 16 bits only where 8 do not do.
     let path =
         [Segment::Class(0xFF), Segment::Instance(0x100), Segment::Attribute(0xABCD), Segment::Point(1)];
-    let request = with(|out| cip::request(out, 0x0E, &path, &[9]));
+    let request = cip::request(0x0E, &path, &[9]);
     assert_eq!(request, hex("0E 06 20 FF 25 00 00 01 31 00 CD AB 2C 01 09"));
 }
 
