@@ -25,8 +25,6 @@
 mod list;
 mod names;
 
-use std::ops::RangeInclusive;
-
 use super::target::{Service, Target, reason};
 use super::wire::assembly::IoCode;
 use super::wire::opcodes::{self, Opcode, Operand};
@@ -82,32 +80,13 @@ impl Shape {
     }
 
     /// Those of this range.
-    fn within(bits: u32, range: RangeInclusive<i64>) -> Shape {
-        let (low, high) = (*range.start(), *range.end());
+    const fn within(bits: u32, low: i64, high: i64) -> Shape {
         Shape::Number { of: Integer { bits, signed: low < 0 }, low, high, scale: None }
     }
 
     /// From the suffix of an attribute.
     fn named(name: &str) -> Option<Shape> {
-        Some(match name {
-            "text" => Shape::Text,
-            "octets" => Shape::Octets,
-            _ => {
-                let (sign, bits) = name.split_at_checked(1)?;
-                let bits = match bits {
-                    "8" => 8,
-                    "16" => 16,
-                    "32" => 32,
-                    "64" => 64,
-                    _ => return None,
-                };
-                match sign {
-                    "u" => Shape::number(bits, false),
-                    "i" => Shape::number(bits, true),
-                    _ => return None,
-                }
-            }
-        })
+        SUFFIXES.into_iter().find(|(known, _)| *known == name).map(|(_, shape)| shape)
     }
 
     /// The type of a number; of what is longer, that of a value of a call.
@@ -137,6 +116,31 @@ impl Shape {
     }
 }
 
+/// The types of an attribute.
+#[rustfmt::skip]
+const SUFFIXES: [(&str, Shape); 10] = [
+    ("text", Shape::Text), ("octets", Shape::Octets),
+    ("u8", Shape::number(8, false)), ("u16", Shape::number(16, false)), ("u32", Shape::number(32, false)),
+    ("u64", Shape::number(64, false)), ("i8", Shape::number(8, true)), ("i16", Shape::number(16, true)),
+    ("i32", Shape::number(32, true)), ("i64", Shape::number(64, true)),
+];
+
+/// The name of something, its target, its values, and what it is.
+type Named = (&'static str, Target, Shape, &'static str);
+
+/// What has a name of its own here.
+#[rustfmt::skip]
+static NAMED: [Named; 8] = [
+    ("encoder", Target::Encoder, Shape::number(32, true), "encoder position"),
+    ("absolute", Target::Absolute, Shape::number(32, true), "absolute position"),
+    ("alarm-history", Target::AlarmHistory, Shape::number(32, false), "history of alarms"),
+    ("stop", Target::Stop, Shape::within(8, 0, 1), "ST at once: 0 with AM, 1 with DE or JL"),
+    ("kill", Target::Kill, Shape::within(8, 0, 1), "SK at once: 0 with AM, 1 with DE or JL; the buffer is emptied"),
+    ("alarm-reset", Target::AlarmReset, Shape::within(8, 0, 0), "AR at once; the motor stays off"),
+    ("load-program", Target::LoadProgram, Shape::within(8, 0, 0), "QL"),
+    ("save-segment", Target::SaveSegment, Shape::within(8, 1, 12), "QS: segment 1 ... 12"),
+];
+
 impl Address {
     fn parse(text: &str) -> Option<Address> {
         if let Some(register) = text.strip_prefix("R:") {
@@ -148,20 +152,12 @@ impl Address {
         if let Some(output) = text.strip_prefix("output:") {
             let number = digits(output, 10)?.checked_sub(1)?;
             let index = u8::try_from(number).ok().filter(|index| *index < 128)?;
-            return Some(Address { target: Target::Output(index), shape: Shape::within(8, 0..=1) });
+            return Some(Address { target: Target::Output(index), shape: Shape::within(8, 0, 1) });
         }
-        let (target, shape) = match text {
-            "encoder" => (Target::Encoder, Shape::number(32, true)),
-            "absolute" => (Target::Absolute, Shape::number(32, true)),
-            "alarm-history" => (Target::AlarmHistory, Shape::number(32, false)),
-            "stop" => (Target::Stop, Shape::within(8, 0..=1)),
-            "kill" => (Target::Kill, Shape::within(8, 0..=1)),
-            "alarm-reset" => (Target::AlarmReset, Shape::within(8, 0..=0)),
-            "load-program" => (Target::LoadProgram, Shape::within(8, 0..=0)),
-            "save-segment" => (Target::SaveSegment, Shape::within(8, 1..=12)),
-            _ => return Address::attribute(text).or_else(|| Address::parameter(text)),
-        };
-        Some(Address { target, shape })
+        match NAMED.into_iter().find(|(name, ..)| *name == text) {
+            Some((_, target, shape, _)) => Some(Address { target, shape }),
+            None => Address::attribute(text).or_else(|| Address::parameter(text)),
+        }
     }
 
     fn parameter(text: &str) -> Option<Address> {
@@ -287,11 +283,11 @@ impl Address {
 /// What follows a command.
 fn operand(opcode: Opcode) -> Shape {
     let shape = match opcode.operand {
-        Operand::None | Operand::Register => Shape::within(64, 0..=0),
-        Operand::Byte if opcode.name == "QX" => Shape::within(64, 1..=12),
-        Operand::Byte => Shape::within(64, 0..=0xFF),
-        Operand::Word | Operand::FieldWord => Shape::within(64, i16::MIN.into()..=u16::MAX.into()),
-        Operand::Long | Operand::RegisterLong => Shape::within(64, i32::MIN.into()..=i32::MAX.into()),
+        Operand::None | Operand::Register => Shape::within(64, 0, 0),
+        Operand::Byte if opcode.name == "QX" => Shape::within(64, 1, 12),
+        Operand::Byte => Shape::within(64, 0, 0xFF),
+        Operand::Word | Operand::FieldWord => Shape::within(64, i16::MIN.into(), u16::MAX.into()),
+        Operand::Long | Operand::RegisterLong => Shape::within(64, i32::MIN.into(), i32::MAX.into()),
         Operand::Io => Shape::Io,
         Operand::TwoIos => Shape::TwoIos,
     };

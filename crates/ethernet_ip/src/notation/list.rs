@@ -1,6 +1,6 @@
 //! Lists of what a drive has: parameters, registers, commands.
 
-use super::{Address, names};
+use super::{Address, NAMED, Named, names};
 use crate::target::Target;
 use crate::wire::opcodes::{self, Operand};
 use fieldbeat_core::axis::acyclic::{ListError, Listed, Listing, Notation, Wanted, read_listed};
@@ -75,17 +75,9 @@ fn commands() -> impl Iterator<Item = Listed> {
 }
 
 fn others() -> impl Iterator<Item = Listed> {
-    [
-        ("encoder", "encoder position"),
-        ("absolute", "absolute position"),
-        ("alarm-history", "history of alarms"),
-        ("output:1", "an output at once: 1 is closed"),
-        ("stop", "ST at once: 0 with AM, 1 with DE or JL"),
-        ("kill", "SK at once: 0 with AM, 1 with DE or JL; the buffer is emptied"),
-        ("alarm-reset", "AR at once; the motor stays off"),
-        ("load-program", "QL"),
-        ("save-segment", "QS: segment 1 ... 12"),
-    ]
-    .into_iter()
-    .map(|(address, name)| row(address.to_owned(), Some(name)))
+    let (read, sent) = NAMED.split_at(3);
+    let output = ("output:1", "an output at once: 1 is closed");
+    let named = |of: &'static [Named]| of.iter().map(|(name, .., meaning)| (*name, *meaning));
+    let all = named(read).chain([output]).chain(named(sent));
+    all.map(|(address, name)| row(address.to_owned(), Some(name)))
 }
