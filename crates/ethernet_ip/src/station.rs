@@ -518,8 +518,8 @@ impl Station {
                 slot.counters.foreign += 1;
                 Own::WrongConnection.count(&mut slot.counters);
             }
-            Some(PacketError::Length { .. }) => Station::has_wrong_length(slot),
-            Some(_) => {
+            Some(PacketError::Length) => Station::has_wrong_length(slot),
+            Some(PacketError::NoPacket) => {
                 slot.counters.malformed += 1;
                 Own::NoPacket.count(&mut slot.counters);
             }

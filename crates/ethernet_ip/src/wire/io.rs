@@ -11,9 +11,6 @@
 //! | 20-23 | ours only: bit 0 is run |
 //! | 20- / 24- | the assembly |
 
-use thiserror::Error;
-
-use super::Reader;
 use super::assembly::{OUTPUT_SIZE, Outputs};
 use super::cpf::item;
 
@@ -111,24 +108,13 @@ impl Outgoing {
 }
 
 /// Why a datagram is no packet of a drive.
-#[derive(Clone, Copy, PartialEq, Eq, Error)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PacketError {
-    /// Too short for any packet.
-    #[error("{0} bytes are no class 1 packet")]
-    NoPacket(usize),
-    /// An item of another type or length stands where a class 1 packet has a sequenced address and connected data.
-    #[error("item {0:#06x} does not belong into a class 1 packet")]
-    Item(u16),
-    /// Its data is shorter or longer than agreed.
-    #[error("{actual} bytes of data where {expected} are agreed")]
-    Length {
-        /// What the connection has, bytes.
-        expected: usize,
-        /// What the packet has, bytes.
-        actual: usize,
-    },
+    /// It is no class 1 packet: too short, or with other items than a sequenced address and connected data.
+    NoPacket,
+    /// Its data is shorter or longer than it says.
+    Length,
 }
-fieldbeat_core::debug_as_display!(PacketError);
 
 /// A packet of a drive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -157,37 +143,15 @@ impl<'a> Packet<'a> {
             let sequence = u32::from_le_bytes([s0, s1, s2, s3]);
             return Ok(Packet { connection, sequence, count: u16::from_le_bytes([c0, c1]), data });
         }
-        Packet::parse_in_steps(datagram)
+        Err(Packet::why_none(datagram))
     }
 
-    /// The same, field by field: what is wrong with it.
+    /// What is wrong with it.
     #[cold]
-    fn parse_in_steps(datagram: &'a [u8]) -> Result<Packet<'a>, PacketError> {
-        let no_packet = || PacketError::NoPacket(datagram.len());
-        let mut reader = Reader(datagram);
-        let [items, address, address_length] = reader.array::<6>().map(words).ok_or_else(no_packet)?;
-        if items != 2 {
-            return Err(no_packet());
+    fn why_none(datagram: &[u8]) -> PacketError {
+        match datagram.first_chunk::<{ field::DATA }>() {
+            Some(front) if front[..6] == ITEMS && front[14..16] == DATA_ITEM => PacketError::Length,
+            _ => PacketError::NoPacket,
         }
-        if address != item::SEQUENCED_ADDRESS || address_length != 8 {
-            return Err(PacketError::Item(address));
-        }
-        let connection = reader.long_le().ok_or_else(no_packet)?;
-        let sequence = reader.long_le().ok_or_else(no_packet)?;
-        let kind = reader.word_le().ok_or_else(no_packet)?;
-        let length = usize::from(reader.word_le().ok_or_else(no_packet)?);
-        if kind != item::CONNECTED_DATA {
-            return Err(PacketError::Item(kind));
-        }
-        if length != reader.0.len() {
-            return Err(PacketError::Length { expected: length, actual: reader.0.len() });
-        }
-        let count = reader.word_le().ok_or(PacketError::Length { expected: COUNT, actual: length })?;
-        Ok(Packet { connection, sequence, count, data: reader.0 })
     }
-}
-
-#[inline]
-fn words([a, b, c, d, e, f]: [u8; 6]) -> [u16; 3] {
-    [[a, b], [c, d], [e, f]].map(u16::from_le_bytes)
 }

@@ -152,14 +152,14 @@ fn both_orders_of_the_inputs_and_no_other_size() {
 fn what_is_no_packet_says_why() {
     let golden = hex(INCOMING);
     for (at, byte, why) in [
-        (0, 1, PacketError::NoPacket(76)),
-        (0, 3, PacketError::NoPacket(76)),
-        (3, 0, PacketError::Item(0x0002)),
+        (0, 1, PacketError::NoPacket),
+        (0, 3, PacketError::NoPacket),
+        (3, 0, PacketError::NoPacket),
         // Its length is wrong.
-        (4, 4, PacketError::Item(0x8002)),
-        (14, 0xB2, PacketError::Item(0x00B2)),
-        (16, 0x3B, PacketError::Length { expected: 59, actual: 58 }),
-        (16, 0x20, PacketError::Length { expected: 32, actual: 58 }),
+        (4, 4, PacketError::NoPacket),
+        (14, 0xB2, PacketError::NoPacket),
+        (16, 0x3B, PacketError::Length),
+        (16, 0x20, PacketError::Length),
     ] {
         let mut packet = golden.clone();
         packet[at] = byte;
@@ -167,16 +167,11 @@ fn what_is_no_packet_says_why() {
     }
     // A class 0 packet, and one without the count that class 1 has.
     let class_0 = hex("02 00 A1 00 04 00 01 00 01 00 B1 00 02 00 01 00");
-    assert_eq!(Packet::parse(&class_0), Err(PacketError::Item(0x00A1)));
+    assert_eq!(Packet::parse(&class_0), Err(PacketError::NoPacket));
     let bare = hex("02 00 02 80 08 00 01 00 01 00 01 00 00 00 B1 00 01 00 01");
-    assert_eq!(Packet::parse(&bare), Err(PacketError::Length { expected: 2, actual: 1 }));
+    assert_eq!(Packet::parse(&bare), Err(PacketError::Length));
     for size in 0..golden.len() {
-        let expected = match size {
-            ..18 => PacketError::NoPacket(size),
-            _ => PacketError::Length { expected: 58, actual: size - 18 },
-        };
+        let expected = if size < 18 { PacketError::NoPacket } else { PacketError::Length };
         assert_eq!(Packet::parse(&golden[..size]), Err(expected));
     }
-    let said = PacketError::Length { expected: 56, actual: 12 }.to_string();
-    assert_eq!(said, "12 bytes of data where 56 are agreed");
 }
