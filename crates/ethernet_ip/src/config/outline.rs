@@ -2,9 +2,10 @@
 
 use std::net::SocketAddrV4;
 
-use super::scan::{Device, ScanError, Targets, scan};
+use super::scan::{Device, ScanError, scan};
 use super::tools::vendor;
 use crate::plan::{IO_PORT, PORT};
+use crate::wire::encapsulation::Identity;
 use fieldbeat_keys::outline::{
     Found, Known, Line, Outline, RANGE, Search, Unit, Usual, neighbour, own, own_address,
 };
@@ -42,8 +43,7 @@ fn search(
     addresses: &[SocketAddrV4],
     goes_on: &dyn Fn() -> bool,
 ) -> Result<Vec<Found>, String> {
-    let targets = if addresses.is_empty() { Targets::All } else { Targets::Some(addresses) };
-    let devices = match scan(*own(known, IO_PORT).ip(), targets, goes_on) {
+    let devices = match scan(*own(known, IO_PORT).ip(), addresses, goes_on) {
         Err(ScanError::Silent) => return Ok(Vec::new()),
         other => other.map_err(|error| error.to_string())?,
     };
@@ -52,24 +52,18 @@ fn search(
 
 /// A drive is known by its vendor.
 fn found(device: &Device) -> Found {
-    let (ip, name) = (device.from.ip(), device.name.trim());
-    match vendor(device.vendor) {
+    let Identity { vendor: by, product_code, serial, name, .. } = &device.identity;
+    let what = format!("{} at {}", name.trim(), device.from.ip());
+    match vendor(*by) {
         Some(_) => {
             let is_usual = device.from.port() == PORT;
-            let mut lines =
-                vec![("address", if is_usual { ip.to_string() } else { device.from.to_string() })];
+            let address = if is_usual { device.from.ip().to_string() } else { device.from.to_string() };
+            let mut lines = vec![("address", address)];
             // 0 is no number.
-            if device.product != 0 {
-                lines.push(("product", device.product.to_string()));
-            }
-            if device.serial != 0 {
-                lines.push(("serial", format!("{:#010x}", device.serial)));
-            }
-            Found { what: format!("{name} at {ip}"), lines }
+            lines.extend((*product_code != 0).then(|| ("product", product_code.to_string())));
+            lines.extend((*serial != 0).then(|| ("serial", format!("{serial:#010x}"))));
+            Found { what, lines }
         }
-        None => {
-            let what = format!("{name} at {ip}, vendor {}: none of these drives", device.vendor);
-            Found { what, lines: Vec::new() }
-        }
+        None => Found { what: format!("{what}, vendor {by}: none of these drives"), lines: Vec::new() },
     }
 }

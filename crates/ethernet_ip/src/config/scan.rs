@@ -12,8 +12,7 @@ use std::time::{Duration, Instant};
 use thiserror::Error;
 
 use crate::plan::PORT;
-use crate::wire::encapsulation::{self, Frame, Listed, Status, command};
-use fieldbeat_core::axis::acyclic::long;
+use crate::wire::encapsulation::{self, Frame, Identity, Listed, Status, command};
 
 /// A device waits so long at most before it answers a broadcast, ms ...
 const MOST_WAIT_MS: u16 = 2_000;
@@ -30,15 +29,6 @@ const MOST: usize = 4_096;
 /// Longer than any answer.
 const ROOM: usize = 1_024;
 
-/// Who is asked.
-#[derive(Clone, Copy, Debug)]
-pub(super) enum Targets<'a> {
-    /// All, by a broadcast.
-    All,
-    /// Those at these addresses.
-    Some(&'a [SocketAddrV4]),
-}
-
 /// A device that has answered.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Device {
@@ -46,20 +36,8 @@ pub(super) struct Device {
     pub(super) from: SocketAddrV4,
     /// Where it says that it is.
     pub(super) claims: SocketAddrV4,
-    /// Its name, printable.
-    pub(super) name: String,
-    /// Its vendor.
-    pub(super) vendor: u16,
-    /// Its device type.
-    pub(super) device_type: u16,
-    /// Its product code.
-    pub(super) product: u16,
-    /// Its revision, major and minor.
-    pub(super) revision: (u8, u8),
-    /// Its status bits.
-    pub(super) status: u16,
-    /// Its serial number.
-    pub(super) serial: u32,
+    /// Who it is.
+    pub(super) identity: Identity,
     /// Its state.
     pub(super) state: u8,
 }
@@ -85,18 +63,16 @@ pub(super) enum ScanError {
 }
 fieldbeat_core::debug_as_display!(ScanError);
 
-/// The devices that answer, by their addresses, each once; `goes_on` can end it early.
+/// The devices at these addresses that answer, without any all by a broadcast; by their addresses, each once. `goes_on`
+/// can end it early.
 pub(super) fn scan(
     from: Ipv4Addr,
-    targets: Targets<'_>,
+    targets: &[SocketAddrV4],
     goes_on: &dyn Fn() -> bool,
 ) -> Result<Vec<Device>, ScanError> {
     let socket = open(from).map_err(|error| ScanError::Bind(Box::new((from, error))))?;
     let everybody = [SocketAddrV4::new(Ipv4Addr::BROADCAST, PORT)];
-    let targets = match targets {
-        Targets::All => &everybody[..],
-        Targets::Some(some) => some,
-    };
+    let targets = if targets.is_empty() { &everybody } else { targets };
     // The lowest 16 bits are the time that a device may wait.
     let context = u64::from(std::process::id()) << 32 | 0x4642 << 16 | u64::from(MOST_WAIT_MS);
     let mut request = Vec::new();
@@ -179,26 +155,15 @@ fn answer(frame: &Frame<'_>, from: SocketAddrV4, context: u64) -> Option<Device>
     if (header.command, header.status, header.context) != (command::LIST_IDENTITY, Status::OK, context) {
         return None;
     }
-    let Listed { address, identity, state } = Listed::parse(frame.data)?;
-    Some(Device {
-        from,
-        claims: address,
-        name: long::text(identity.name),
-        vendor: identity.vendor,
-        device_type: identity.device_type,
-        product: identity.product_code,
-        revision: identity.revision,
-        status: identity.status,
-        serial: identity.serial,
-        state,
-    })
+    let Listed { address: claims, identity, state } = Listed::parse(frame.data)?;
+    Some(Device { from, claims, identity, state })
 }
 
 /// A vendor gives each number once; a device without one is known by its address.
 fn is_new(device: &Device, known: &[Device]) -> bool {
-    let same = |other: &Device| match device.serial {
-        0 => other.serial == 0 && other.from == device.from,
-        serial => (other.vendor, other.serial) == (device.vendor, serial),
+    let same = |other: &Device| match device.identity.serial {
+        0 => other.identity.serial == 0 && other.from == device.from,
+        serial => (other.identity.vendor, other.identity.serial) == (device.identity.vendor, serial),
     };
     !known.iter().any(same)
 }
@@ -277,9 +242,10 @@ mod tests {
                     stream.write_all(part).unwrap();
                 }
             });
-            scan(Ipv4Addr::LOCALHOST, Targets::Some(&[target]), &|| true)
+            scan(Ipv4Addr::LOCALHOST, &[target], &|| true)
         });
-        let found: Vec<_> = devices.unwrap().iter().map(|device| (device.from, device.serial)).collect();
+        let found: Vec<_> =
+            devices.unwrap().iter().map(|device| (device.from, device.identity.serial)).collect();
         assert_eq!(found, [(target, 7)]);
     }
 
@@ -304,9 +270,9 @@ mod tests {
                     }
                 });
             }
-            scan(Ipv4Addr::LOCALHOST, Targets::Some(&targets), &|| true)
+            scan(Ipv4Addr::LOCALHOST, &targets, &|| true)
         });
-        let mut serials: Vec<u32> = devices.unwrap().iter().map(|device| device.serial).collect();
+        let mut serials: Vec<u32> = devices.unwrap().iter().map(|device| device.identity.serial).collect();
         serials.sort_unstable();
         assert_eq!(serials, [10, 11]);
     }

@@ -6,9 +6,10 @@ use std::net::{Ipv4Addr, SocketAddrV4};
 use clap::{Args, Subcommand};
 use serde_json::{Value, json};
 
-use super::scan::{Device, ScanError, Targets, scan};
+use super::scan::{Device, ScanError, scan};
 use crate::check::VENDOR_NAME;
 use crate::plan::{Expected, PORT};
+use crate::wire::encapsulation::Identity;
 use fieldbeat_keys::value::station;
 use fieldbeat_tools::{Program, Stop, Tool, arguments, table};
 
@@ -58,12 +59,9 @@ fn target(text: &str) -> Result<SocketAddrV4, String> {
 
 impl Scan {
     fn run(self, program: &dyn Program) -> Result<(), Stop> {
-        let targets = match self.targets.as_slice() {
-            [] => Targets::All,
-            some => Targets::Some(some),
-        };
         let from = self.bind.unwrap_or(Ipv4Addr::UNSPECIFIED);
-        let devices = scan(from, targets, &|| !program.is_interrupted()).map_err(|error| match error {
+        let devices = scan(from, &self.targets, &|| !program.is_interrupted());
+        let devices = devices.map_err(|error| match error {
             ScanError::Bind(_) => Stop::usage(error),
             other => Stop::failed(other),
         })?;
@@ -106,17 +104,15 @@ fn text(devices: &[Device]) -> String {
 }
 
 fn row(device: &Device) -> [String; 8] {
+    let Identity { vendor: by, device_type, product_code, revision, serial, name, .. } = &device.identity;
     [
         device.from.ip().to_string(),
-        if device.name.is_empty() { "-".to_owned() } else { device.name.clone() },
-        match vendor(device.vendor) {
-            Some(name) => format!("{} ({name})", device.vendor),
-            None => device.vendor.to_string(),
-        },
-        device.device_type.to_string(),
-        device.product.to_string(),
-        format!("{}.{}", device.revision.0, device.revision.1),
-        format!("{:#010x}", device.serial),
+        if name.is_empty() { "-".to_owned() } else { name.clone() },
+        vendor(*by).map_or_else(|| by.to_string(), |name| format!("{by} ({name})")),
+        device_type.to_string(),
+        product_code.to_string(),
+        format!("{}.{}", revision.0, revision.1),
+        format!("{serial:#010x}"),
         state(device.state).map_or_else(|| device.state.to_string(), str::to_owned),
     ]
 }
@@ -142,19 +138,20 @@ fn state(number: u8) -> Option<&'static str> {
 
 /// A device as JSON.
 fn object(device: &Device) -> Value {
+    let Device { from, claims, identity, state: code } = device;
     json!({
-        "address": device.from.ip().to_string(),
-        "claimed_address": device.claims.to_string(),
-        "name": device.name,
-        "vendor": device.vendor,
-        "vendor_name": vendor(device.vendor),
-        "device_type": device.device_type,
-        "product": device.product,
-        "revision": format!("{}.{}", device.revision.0, device.revision.1),
-        "serial": device.serial,
-        "status": device.status,
-        "state": device.state,
-        "state_name": state(device.state),
+        "address": from.ip().to_string(),
+        "claimed_address": claims.to_string(),
+        "name": identity.name,
+        "vendor": identity.vendor,
+        "vendor_name": vendor(identity.vendor),
+        "device_type": identity.device_type,
+        "product": identity.product_code,
+        "revision": format!("{}.{}", identity.revision.0, identity.revision.1),
+        "serial": identity.serial,
+        "status": identity.status,
+        "state": code,
+        "state_name": state(*code),
     })
 }
 
@@ -166,8 +163,8 @@ mod tests {
     fn devices_stand_in_a_table_that_says_where_one_is_elsewhere() {
         let claims = SocketAddrV4::new([10, 10, 10, 10].into(), 44_818);
         let device = Device { claims, ..crate::config::scan::specimen() };
-        let other =
-            Device { claims: device.from, vendor: 1, name: String::new(), state: 9, ..device.clone() };
+        let identity = Identity { vendor: 1, name: String::new(), ..device.identity.clone() };
+        let other = Device { claims: device.from, identity, state: 9, from: device.from };
         let rows: Vec<String> = text(&[device.clone(), other]).lines().map(str::to_owned).collect();
         assert_eq!(rows.len(), 4);
         let words = |row: usize| rows[row].split_whitespace().collect::<Vec<_>>().join(" ");

@@ -13,7 +13,7 @@ use crate::wire::cip::{Reply, Status, service};
 use crate::wire::connection::{self, ConnectionError, Opened, timeout_factor};
 use crate::wire::encapsulation::{self, Frame, Identity, Unconnected, command};
 use crate::wire::message::{ProfileCode, answer};
-use fieldbeat_core::axis::acyclic::{CallError, long};
+use fieldbeat_core::axis::acyclic::CallError;
 use fieldbeat_core::time::Time;
 
 impl Session {
@@ -185,8 +185,8 @@ impl Session {
 
     fn identified(&mut self, now: Time, reply: &Reply<'_>, out: &mut Vec<u8>) -> Result<(), String> {
         let identity = Identity::parse(reply.data).filter(|_| reply.status.is_ok());
-        if let Some(identity) = identity {
-            self.device = format!("{} of vendor {}", long::text(identity.name), identity.vendor);
+        if let Some(identity) = &identity {
+            self.device = format!("{} of vendor {}", identity.name, identity.vendor);
         }
         let expected = &self.drive.expected;
         let another = match identity {

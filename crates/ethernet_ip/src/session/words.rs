@@ -106,7 +106,7 @@ pub(super) fn silent(what: &str, waited_ns: u64, unmatched: u64) -> String {
 }
 
 /// It is another device than the expected one.
-pub(super) fn another(device: &str, found: &Identity<'_>, expected: &Expected) -> Option<String> {
+pub(super) fn another(device: &str, found: &Identity, expected: &Expected) -> Option<String> {
     fn differing<T: PartialEq>(expected: Option<T>, found: T, show: fn(&T) -> String) -> Option<[String; 2]> {
         expected.filter(|expected| *expected != found).map(|expected| [show(&found), show(&expected)])
     }

@@ -7,6 +7,7 @@ use thiserror::Error;
 
 use super::Reader;
 use super::cpf::{self, Items, item};
+use fieldbeat_core::axis::acyclic::long;
 
 /// The header, bytes.
 pub const HEADER: usize = 24;
@@ -212,13 +213,7 @@ pub fn send_unit_data(out: &mut Vec<u8>, session: u32, connection: u32, sequence
         interface(out);
         out.extend(2_u16.to_le_bytes());
         cpf::put(out, item::CONNECTED_ADDRESS, &connection.to_le_bytes());
-        out.extend(item::CONNECTED_DATA.to_le_bytes());
-        let length = out.len();
-        out.extend([0; 2]);
-        cpf::sized(out, length, |out| {
-            out.extend(sequence.to_le_bytes());
-            out.extend(message);
-        });
+        cpf::put(out, item::CONNECTED_DATA, &[&sequence.to_le_bytes(), message].concat());
     });
 }
 
@@ -284,8 +279,8 @@ impl<'a> Connected<'a> {
 }
 
 /// What a device says of itself: the attributes of its identity object.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Identity<'a> {
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Identity {
     /// Its vendor: 60 is Applied Motion Products.
     pub vendor: u16,
     /// Its device type.
@@ -298,17 +293,17 @@ pub struct Identity<'a> {
     pub status: u16,
     /// Its serial number: unique for the vendor.
     pub serial: u32,
-    /// Its name: nothing says that it is text (`long::text` prints it).
-    pub name: &'a [u8],
+    /// Its name, printable.
+    pub name: String,
 }
 
-impl<'a> Identity<'a> {
+impl Identity {
     /// All attributes of the object, as `GET_ATTRIBUTES_ALL` answers.
-    pub fn parse(data: &'a [u8]) -> Option<Identity<'a>> {
+    pub fn parse(data: &[u8]) -> Option<Identity> {
         Identity::read(&mut Reader(data))
     }
 
-    fn read(reader: &mut Reader<'a>) -> Option<Identity<'a>> {
+    fn read(reader: &mut Reader<'_>) -> Option<Identity> {
         Some(Identity {
             vendor: reader.word_le()?,
             device_type: reader.word_le()?,
@@ -318,26 +313,26 @@ impl<'a> Identity<'a> {
             serial: reader.long_le()?,
             name: {
                 let length = reader.byte()?;
-                reader.bytes(length.into())?
+                long::text(reader.bytes(length.into())?)
             },
         })
     }
 }
 
 /// An answer to [`list_identity`].
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Listed<'a> {
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Listed {
     /// Where it says that it is: not always where the answer came from.
     pub address: SocketAddrV4,
     /// Who it is.
-    pub identity: Identity<'a>,
+    pub identity: Identity,
     /// 3 is operational.
     pub state: u8,
 }
 
-impl<'a> Listed<'a> {
+impl Listed {
     /// The data of [`command::LIST_IDENTITY`]; `None` if it names nobody.
-    pub fn parse(data: &'a [u8]) -> Option<Listed<'a>> {
+    pub fn parse(data: &[u8]) -> Option<Listed> {
         let item = Items::parse(data)?.find(|item| item.kind == item::IDENTITY)?;
         let mut reader = Reader(item.data);
         reader.word_le()?;

@@ -161,10 +161,10 @@ fn opener_list_identity() {
         revision: (2, 3),
         status: 0x60,
         serial: 123_456_789,
-        name: b"OpENer PC",
+        name: "OpENer PC".into(),
     };
     let address = SocketAddrV4::new(Ipv4Addr::new(172, 28, 1, 3), 44_818);
-    assert_eq!(Listed::parse(&golden), Some(Listed { address, identity, state: 0 }));
+    assert_eq!(Listed::parse(&golden), Some(Listed { address, identity: identity.clone(), state: 0 }));
     assert_eq!(Identity::parse(&golden[24..]), Some(identity));
     // A name that passes the item, though not the datagram.
     let mut lying = golden.clone();
