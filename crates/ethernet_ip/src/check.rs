@@ -31,12 +31,9 @@ impl EthernetIpPlan {
         let mut wrong = |drive, key, message: &str| faults.push((drive, PlanFault::new(key, message)));
         let ip = self.bind.ip();
         if ip.is_unspecified() || ip.is_multicast() || ip.is_broadcast() {
-            wrong(
-                0,
-                "bind",
-                "must be the master's own address on the network of the drives: packets of several buses \
-                 share the port, and drives compare it with that of their session",
-            );
+            let why = "must be the master's own address on the network of the drives: packets of several buses \
+                       share the port, and drives compare it with that of their session";
+            wrong(0, "bind", why);
         }
         if self.dscp > 63 {
             wrong(0, "dscp", "must be at most 63; 47 is scheduled traffic");
@@ -57,22 +54,21 @@ impl MoonsDrive {
     pub fn faults(&self, rpi_ns: u64) -> Vec<PlanFault> {
         // The cycle's own period.
         let period_ns = rpi_ns / u64::from(self.axis.divisor.max(1));
-        let mut faults = self.interval_faults(period_ns);
+        let mut faults = Vec::new();
+        self.interval_faults(period_ns, &mut faults);
         faults.extend(self.timeout_fault(period_ns));
-        faults.extend(self.command_faults(period_ns));
-        faults.extend(self.connection_faults());
-        faults.extend(self.scale_faults());
-        faults.extend(self.range_faults());
-        faults.extend(self.homing_faults());
+        self.command_faults(period_ns, &mut faults);
+        self.connection_faults(&mut faults);
+        self.scale_faults(&mut faults);
+        self.range_faults(&mut faults);
+        self.homing_faults(&mut faults);
         let mut wrong = |key, message: &str| faults.push(PlanFault::new(key, message));
         if self.axis.limits.torque.is_some() {
             wrong("limits.torque", "has no effect: the drive takes no torque setpoints; leave it out");
         }
         if self.axis.limits.step.is_some() {
-            wrong(
-                "limits.step",
-                "has no effect: the drive makes its profiles itself, and takes no rows; leave it out",
-            );
+            let why = "has no effect: the drive makes its profiles itself, and takes no rows; leave it out";
+            wrong("limits.step", why);
         }
         if self.enable_input.is_some_and(|input| !(1..=INPUT_MAX).contains(&input.number)) {
             wrong("enable_input", "must be an input of the drive, 1 ... 12");
@@ -91,19 +87,13 @@ impl MoonsDrive {
     }
 
     /// Intervals of packets, and how long one counts.
-    fn interval_faults(&self, period_ns: u64) -> Vec<PlanFault> {
+    fn interval_faults(&self, period_ns: u64, faults: &mut Vec<PlanFault>) {
         let (rpi, input_rpi) = (self.rpi_ns(period_ns), self.input_rpi_ns(period_ns));
         let (least, most) = RPI_RANGE_NS;
-        let mut faults = Vec::new();
         let mut wrong = |key, message| faults.push(PlanFault::new(key, message));
-        let why = |ns: u64| {
-            if !(least..=most).contains(&ns) {
-                Some(format!("must be {} ... {}", Ns(least), Ns(most)))
-            } else if !ns.is_multiple_of(US) {
-                Some("must be in whole microseconds".to_owned())
-            } else {
-                None
-            }
+        let why = |ns: u64| match ns {
+            _ if !(least..=most).contains(&ns) => Some(format!("must be {} ... {}", Ns(least), Ns(most))),
+            _ => (!ns.is_multiple_of(US)).then(|| "must be in whole microseconds".to_owned()),
         };
         if let Some(why) = why(rpi) {
             let made = format!("makes a packet every {} (period x divisor)", Ns(rpi));
@@ -112,18 +102,13 @@ impl MoonsDrive {
             wrong("input_rpi", format!("{why}; leave it out for that of the master, {}", Ns(rpi)));
         } else if self.fresh_within_ns(period_ns) < input_rpi {
             let what = format!("is shorter than the interval of the drive's packets, {}", Ns(input_rpi));
-            wrong(
-                "fresh_within",
-                format!("{what}: each would be too old before the next one comes; allow two of them"),
-            );
+            let why = "each would be too old before the next one comes; allow two of them";
+            wrong("fresh_within", format!("{what}: {why}"));
         }
         if self.first_within_ns < input_rpi || self.first_within_ns > 60 * S {
-            wrong(
-                "first_within",
-                format!("must be {} ... 60 s: the first packet takes an interval", Ns(input_rpi)),
-            );
+            let least = Ns(input_rpi);
+            wrong("first_within", format!("must be {least} ... 60 s: the first packet takes an interval"));
         }
-        faults
     }
 
     /// A connection that ends before a loss has led to a stop would take the stop with it.
@@ -138,13 +123,9 @@ impl MoonsDrive {
         let (ours, theirs) = (self.timeout_ns(period_ns), self.input_timeout_ns(period_ns));
         let better =
             |code: &u8| MoonsDrive { multiplier: Some(*code), ..self.clone() }.outlives_a_loss(period_ns);
-        let remedy = match (0..=MULTIPLIER_MAX).find(better) {
-            Some(code) => format!("use {} or more", 4_u32 << code),
-            None => {
-                "lower health.bucket or fresh_within, or bring input_rpi and the master's interval closer"
-                    .to_owned()
-            }
-        };
+        let none = "lower health.bucket or fresh_within, or bring input_rpi and the master's interval closer";
+        let found = (0..=MULTIPLIER_MAX).find(better).map(|code| format!("use {} or more", 4_u32 << code));
+        let remedy = found.unwrap_or(none.to_owned());
         let why = format!(
             "ends the connection after {}, before the stop request that follows a loss within {}; {remedy}",
             Ns(ours.min(theirs)),
@@ -154,50 +135,36 @@ impl MoonsDrive {
     }
 
     /// How commands are held, and what the drive's own watchdog allows.
-    fn command_faults(&self, period_ns: u64) -> Vec<PlanFault> {
+    fn command_faults(&self, period_ns: u64, faults: &mut Vec<PlanFault>) {
         let rpi = self.rpi_ns(period_ns);
-        let mut faults = Vec::new();
         let mut wrong = |key, message| faults.push(PlanFault::new(key, message));
         if !(1..=100).contains(&self.hold) {
             wrong("hold", "must be 1 ... 100 packets; 2 survive the loss of one".to_owned());
         }
         let seen_ns = self.least_effect_ns(period_ns);
         if self.effect_within_ns < seen_ns || self.effect_within_ns > 10 * S {
-            wrong(
-                "effect_within",
-                format!(
-                    "must be {} ... 10 s: twice the intervals of the packets in both directions",
-                    Ns(seen_ns)
-                ),
-            );
+            let why = "twice the intervals of the packets in both directions";
+            wrong("effect_within", format!("must be {} ... 10 s: {why}", Ns(seen_ns)));
         }
         let (within, least) = (self.watchdog.within_ns, rpi.saturating_mul(2));
         if within.is_none() && self.takes_commands() && !self.watchdog.accept_none {
-            wrong(
-                "no_drive_watchdog",
-                "must be \"accept\" with watchdog = \"off\": nothing stops the drive if the master dies; or \
-                 set ZS of the drive, and watchdog to that"
-                    .to_owned(),
-            );
+            let why = "must be \"accept\" with watchdog = \"off\": nothing stops the drive if the master dies; or \
+                       set ZS of the drive, and watchdog to that";
+            wrong("no_drive_watchdog", why.to_owned());
         }
         if within.is_some_and(|within| !(least..=WATCHDOG_MAX_NS).contains(&within)) {
+            let (least, most) = (Ns(least), Ns(WATCHDOG_MAX_NS));
             wrong(
                 "watchdog",
-                format!(
-                    "must be {} ... {}: the drive's ZS has to outlast a lost packet",
-                    Ns(least),
-                    Ns(WATCHDOG_MAX_NS)
-                ),
+                format!("must be {least} ... {most}: the drive's ZS has to outlast a lost packet"),
             );
         }
-        faults
     }
 
     /// What the kind of the connection rules out.
-    fn connection_faults(&self) -> Vec<PlanFault> {
-        let mut faults = Vec::new();
+    fn connection_faults(&self, faults: &mut Vec<PlanFault>) {
         if !self.cyclic {
-            return faults;
+            return;
         }
         let mut wrong = |key, message: &str| faults.push(PlanFault::new(key, message));
         let is_first = self.version == Some(Version::V1);
@@ -208,16 +175,12 @@ impl MoonsDrive {
             wrong("layout", "concerns input assembly 0x65, which version \"v1\" has not; leave it out");
         }
         if self.connection == Access::ListenOnly && self.delivery != Delivery::Multicast {
-            wrong(
-                "delivery",
-                "must be \"multicast\": who listens only gets the packets of another connection",
-            );
+            let why = "must be \"multicast\": who listens only gets the packets of another connection";
+            wrong("delivery", why);
         }
         if self.is_owned() && self.heartbeat.is_some() {
-            wrong(
-                "heartbeat",
-                "is for connections without outputs; leave it out, or set connection = \"input-only\"",
-            );
+            let why = "is for connections without outputs; leave it out, or set connection = \"input-only\"";
+            wrong("heartbeat", why);
         }
         if self.heartbeat.is_some_and(|size| !matches!(size, 0 | 2 | 6)) {
             wrong("heartbeat", "must be 2, 6 or 0 bytes");
@@ -231,35 +194,29 @@ impl MoonsDrive {
         if !self.takes_commands() && self.enable_input.is_some() {
             wrong("enable_input", "concerns commands, and this connection has none; leave it out");
         }
-        faults
     }
 
-    fn scale_faults(&self) -> Vec<PlanFault> {
-        let mut faults = Vec::new();
+    fn scale_faults(&self, faults: &mut Vec<PlanFault>) {
         let steps = self.steps_per_revolution;
         if !(1.0..=STEPS_MAX).contains(&steps) {
             faults.push(PlanFault::new("steps_per_rev", format!("must be 1 ... {STEPS_MAX}, as EG sets it")));
         }
         let encoder = self.encoder_counts_per_step;
         if !(encoder > 0.0 && encoder.is_finite()) {
-            faults.push(PlanFault::new(
-                "encoder",
-                "must be true, false or its counts of a revolution, above 0",
-            ));
+            let why = "must be true, false or its counts of a revolution, above 0";
+            faults.push(PlanFault::new("encoder", why));
         }
-        faults
     }
 
     /// Velocities and accelerations are 16 bits of small units on the wire.
-    fn range_faults(&self) -> Vec<PlanFault> {
+    fn range_faults(&self, faults: &mut Vec<PlanFault>) {
         let axis = &self.axis;
         let (profile, limits, homing) = (&axis.profile, &axis.limits, self.homing.as_ref());
         let (velocity, acceleration) =
             (self.velocity_on_wire(1.0).abs(), self.acceleration_on_wire(1.0).abs());
         if !(velocity > 0.0 && velocity.is_finite() && acceleration.is_finite()) {
-            return Vec::new(); // Reported for every axis, or above.
+            return; // Reported for every axis, or above.
         }
-        let mut faults = Vec::new();
         let mut reported = None;
         for (key, value, on_wire, per) in [
             ("profile.velocity", Some(profile.velocity), velocity, "s"),
@@ -286,12 +243,10 @@ impl MoonsDrive {
             faults.push(PlanFault::new(key, why));
             reported = Some((value, per));
         }
-        faults
     }
 
-    fn homing_faults(&self) -> Vec<PlanFault> {
-        let Some(homing) = &self.homing else { return Vec::new() };
-        let mut faults = Vec::new();
+    fn homing_faults(&self, faults: &mut Vec<PlanFault>) {
+        let Some(homing) = &self.homing else { return };
         let mut wrong = |key, message: String| faults.push(PlanFault::new(key, message));
         if IoCode::from_code(homing.input).is_none() {
             wrong("homing.input", "must be an input with its condition, like \"2L\"".to_owned());
@@ -311,7 +266,6 @@ impl MoonsDrive {
             let why = format!("exceeds the limit while it homes, {most}; lower it, or raise limits.homing");
             wrong("homing.velocity", why);
         }
-        faults
     }
 
     /// The drive stops by itself within this time, ns; `None`: it does not, or it is not known.
