@@ -393,14 +393,7 @@ impl Session {
         if self.phase == Phase::Up {
             while self.pending.is_none() && self.step(now, out) {}
         }
-        self.state()
-    }
-
-    fn state(&self) -> HandshakeState {
-        match self.phase {
-            Phase::Up => HandshakeState::Kept,
-            Phase::Absent | Phase::Starting => HandshakeState::More,
-        }
+        if self.phase == Phase::Up { HandshakeState::Kept } else { HandshakeState::More }
     }
 
     /// The next request, or something that needs none; false if there is nothing to do now.

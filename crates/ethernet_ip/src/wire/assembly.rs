@@ -6,10 +6,6 @@ use std::str::FromStr;
 
 use super::Reader;
 
-/// Inputs of a unit of the first version.
-pub const INPUT_V1: u16 = 0x64;
-/// Inputs of a unit of the second version.
-pub const INPUT_V2: u16 = 0x65;
 /// The configuration.
 pub const CONFIGURATION: u16 = 0x66;
 /// In place of outputs: inputs only.
@@ -21,8 +17,8 @@ pub const OUTPUT: u16 = 0x70;
 
 /// The outputs, bytes.
 pub const OUTPUT_SIZE: usize = 64;
-const INPUT_V1_SIZE: usize = 30;
-const INPUT_V2_SIZE: usize = 56;
+/// The elements of input assembly 0x65.
+const ELEMENTS: usize = 14;
 
 /// The assemblies of a drive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -46,16 +42,16 @@ pub enum Layout {
 /// The input assembly.
 pub const fn input(version: Version) -> u16 {
     match version {
-        Version::V1 => INPUT_V1,
-        Version::V2 => INPUT_V2,
+        Version::V1 => 0x64,
+        Version::V2 => 0x65,
     }
 }
 
 /// Its bytes.
 pub const fn input_size(version: Version) -> usize {
     match version {
-        Version::V1 => INPUT_V1_SIZE,
-        Version::V2 => INPUT_V2_SIZE,
+        Version::V1 => 30,
+        Version::V2 => 4 * ELEMENTS,
     }
 }
 
@@ -103,7 +99,7 @@ impl Inputs {
         match (version, layout) {
             (Version::V1, _) => Inputs::first_version(Reader(data)),
             (Version::V2, layout) => {
-                let mut elements = [0_u32; INPUT_V2_SIZE / 4];
+                let mut elements = [0_u32; ELEMENTS];
                 for (element, bytes) in elements.iter_mut().zip(data.as_chunks().0) {
                     *element = u32::from_le_bytes(*bytes);
                 }
@@ -132,7 +128,7 @@ impl Inputs {
         })
     }
 
-    fn second_version(elements: &[u32; INPUT_V2_SIZE / 4], layout: Layout) -> Inputs {
+    fn second_version(elements: &[u32; ELEMENTS], layout: Layout) -> Inputs {
         let [status, alarm, voltage, current, temperature, encoder, absolute, e7, e8, e9, e10, _, a1, a2] =
             *elements;
         let (position_error, velocity, extended_inputs, main_inputs, outputs) = match layout {
@@ -396,13 +392,8 @@ pub enum Condition {
 
 impl Condition {
     fn from_letter(letter: u8) -> Option<Condition> {
-        Some(match letter {
-            b'H' => Condition::High,
-            b'L' => Condition::Low,
-            b'R' => Condition::Rising,
-            b'F' => Condition::Falling,
-            _ => return None,
-        })
+        let all = [Condition::High, Condition::Low, Condition::Rising, Condition::Falling];
+        all.into_iter().find(|condition| *condition as u8 == letter)
     }
 }
 
@@ -434,13 +425,10 @@ impl FromStr for IoCode {
 
     fn from_str(text: &str) -> Result<IoCode, NoIoCode> {
         let parse = || {
-            let (letter, number) = text.as_bytes().split_last()?;
-            let &([units] | [_, units]) = number else { return None };
-            let tens = if let &[tens, _] = number { tens } else { b'0' };
-            if !tens.is_ascii_digit() || !units.is_ascii_digit() {
-                return None;
-            }
-            IoCode::new((tens - b'0') * 10 + (units - b'0'), Condition::from_letter(*letter)?)
+            let (letter, digits) = text.as_bytes().split_last()?;
+            let is_number = digits.len() <= 2 && digits.iter().all(u8::is_ascii_digit);
+            let number = text.get(..digits.len()).filter(|_| is_number)?.parse().ok()?;
+            IoCode::new(number, Condition::from_letter(*letter)?)
         };
         parse().ok_or(NoIoCode)
     }
