@@ -33,8 +33,6 @@ use fieldbeat_core::axis::acyclic::{
     shown, within,
 };
 
-use self::names::Scale;
-
 const FORM: &str = "AC (a parameter), AC.flash, R:3 (a register), SCL:VE (a command for the buffer), \
      encoder, absolute, alarm-history, output:1, stop, kill, alarm-reset, load-program, save-segment, or \
      0x01/1/7 (class, instance and attribute), with .u16 behind it for a type (u8, i8, u16, i16, u32, i32, \
@@ -60,7 +58,7 @@ struct Address {
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Shape {
     /// Numbers of so many bits.
-    Number { of: Integer, low: i64, high: i64, scale: Option<Scale> },
+    Number { of: Integer, low: i64, high: i64, quantity: Option<Quantity> },
     /// An input and its condition.
     Io,
     /// Two of them, the first one in the lower half.
@@ -76,12 +74,12 @@ impl Shape {
     const fn number(bits: u32, signed: bool) -> Shape {
         let of = Integer { bits, signed };
         let (low, high) = of.range();
-        Shape::Number { of, low, high, scale: None }
+        Shape::Number { of, low, high, quantity: None }
     }
 
     /// Those of this range.
     const fn within(bits: u32, low: i64, high: i64) -> Shape {
-        Shape::Number { of: Integer { bits, signed: low < 0 }, low, high, scale: None }
+        Shape::Number { of: Integer { bits, signed: low < 0 }, low, high, quantity: None }
     }
 
     /// From the suffix of an attribute.
@@ -370,7 +368,7 @@ impl Notation for Addresses {
         let (number, bits) = (shape.value(raw), shape.raw(raw as i64));
         let io = |code: i64| IoCode::from_code(code as u16).map(|io| io.to_string());
         let means = match shape {
-            Shape::Number { scale, .. } => scale.map(|scale| scale.quantity().show(number)),
+            Shape::Number { quantity, .. } => quantity.map(|quantity| quantity.show(number)),
             Shape::Io => io(number),
             Shape::TwoIos => {
                 io(number).zip(io(number >> 16)).map(|(first, second)| format!("{first}/{second}"))
@@ -382,8 +380,8 @@ impl Notation for Addresses {
     }
 
     fn quantity(&self, address: &str) -> Option<Quantity> {
-        let Shape::Number { scale, .. } = Address::parse(address)?.shape else { return None };
-        scale.map(Scale::quantity)
+        let Shape::Number { quantity, .. } = Address::parse(address)?.shape else { return None };
+        quantity
     }
 
     fn reason(&self, status: u32) -> String {

@@ -6,32 +6,19 @@
 //! the process data (assumed).
 
 use super::Shape;
-use fieldbeat_core::axis::acyclic::{self, Quantity};
+use fieldbeat_core::axis::acyclic::{Quantity, Scale};
 
 use crate::plan::{ACCELERATION_PER_REV, MOST_PER_REV, VELOCITY_PER_REV};
 
-/// How counts become a unit.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Scale {
-    /// Counts in one unit.
-    pub(super) per_unit: f64,
-    /// The unit.
-    pub(super) unit: &'static str,
-}
+const VELOCITY: Quantity = counted(VELOCITY_PER_REV, "rev/s");
+const ACCELERATION: Quantity = counted(ACCELERATION_PER_REV, "rev/s²");
+const CURRENT: Quantity = counted(100.0, "A");
+const VOLTAGE: Quantity = counted(10.0, "V");
+const TEMPERATURE: Quantity = counted(10.0, "°C");
+const STEPS: Quantity = counted(0.5, "steps/rev");
 
-const VELOCITY: Scale = Scale { per_unit: VELOCITY_PER_REV, unit: "rev/s" };
-const ACCELERATION: Scale = Scale { per_unit: ACCELERATION_PER_REV, unit: "rev/s²" };
-const CURRENT: Scale = Scale { per_unit: 100.0, unit: "A" };
-const VOLTAGE: Scale = Scale { per_unit: 10.0, unit: "V" };
-const TEMPERATURE: Scale = Scale { per_unit: 10.0, unit: "°C" };
-const STEPS: Scale = Scale { per_unit: 0.5, unit: "steps/rev" };
-
-impl Scale {
-    /// What its counts measure.
-    pub(super) fn quantity(self) -> Quantity {
-        let Scale { per_unit, unit } = self;
-        Quantity { scale: acyclic::Scale::Linear { per_unit, zero: 0.0 }, unit }
-    }
+const fn counted(per_unit: f64, unit: &'static str) -> Quantity {
+    Quantity { scale: Scale::Linear { per_unit, zero: 0.0 }, unit }
 }
 
 /// Parameters that have a sign.
@@ -43,7 +30,7 @@ const MOST: i64 = MOST_PER_REV as i64;
 /// The values of a parameter or command with this name.
 pub(super) fn scaled(name: &str, shape: Shape) -> Shape {
     let Shape::Number { of, low, high, .. } = shape else { return shape };
-    let (scale, (low, high)) = match name {
+    let (quantity, (low, high)) = match name {
         "AC" | "AM" | "DE" | "JA" | "JL" => (ACCELERATION, (1, MOST)),
         "VE" | "VC" => (VELOCITY, (1, MOST)),
         "JS" => (VELOCITY, (0, MOST)),
@@ -52,20 +39,20 @@ pub(super) fn scaled(name: &str, shape: Shape) -> Shape {
         "EG" => (STEPS, (low, high)),
         _ => return shape,
     };
-    Shape::Number { of, low, high, scale: Some(scale) }
+    Shape::Number { of, low, high, quantity: Some(quantity) }
 }
 
 /// The values of a register.
 pub(super) fn scaled_register(register: u8, shape: Shape) -> Shape {
     let Shape::Number { of, low, high, .. } = shape else { return shape };
-    let scale = match register {
+    let quantity = match register {
         b'A' | b'B' => ACCELERATION,
         b'V' | b'M' | b'J' | b'v' | b'w' => VELOCITY,
         b't' => TEMPERATURE,
         b'u' => VOLTAGE,
         _ => return shape,
     };
-    Shape::Number { of, low, high, scale: Some(scale) }
+    Shape::Number { of, low, high, quantity: Some(quantity) }
 }
 
 /// A name of the manual as it is written in an address.
