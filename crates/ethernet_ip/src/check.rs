@@ -7,7 +7,7 @@ use super::plan::{
     MOST_PER_REV, MULTIPLIER_MAX, MoonsDrive, RPI_RANGE_NS, Version, WATCHDOG_MAX_NS,
 };
 use super::wire::assembly::IoCode;
-use super::wire::cip::Configuration;
+use super::wire::cip::DATA_MAX;
 use fieldbeat_core::axis::{HeldBy, Load, PlanFault};
 use fieldbeat_core::time::{Ns, S, US};
 
@@ -18,7 +18,7 @@ const NOTHING_STOPS: &str =
     "nothing stops the drive: a move runs to its target and a jog runs on (watchdog = \"off\")";
 
 /// The most bytes of the configuration assembly that are sent.
-pub(super) const CONFIGURATION_MAX: usize = Configuration::MAX;
+pub(super) const CONFIGURATION_MAX: usize = DATA_MAX;
 /// The highest number of an input that a drive can have.
 pub(super) const INPUT_MAX: u8 = IoCode::MAX;
 /// EG is half of the steps of a revolution, in 16 bits.
@@ -275,26 +275,27 @@ impl MoonsDrive {
 
     /// What `check` says of it beyond its axis; the first line is its address.
     pub fn describe(&self, bind: SocketAddrV4, period_ns: u64) -> String {
-        let mut lines = vec![format!("{bind} -> {}", self.address)];
-        lines.push(self.expected.describe());
-        lines.push(self.describe_connection());
-        lines.push(self.describe_intervals(period_ns));
-        if self.takes_commands() {
-            lines.push(self.describe_motion());
-            lines.push(self.describe_commands(period_ns));
-        } else {
-            lines.push(format!(
-                "no motion: {}; its values are shown, and calls are taken",
-                self.why_no_commands()
-            ));
-        }
+        let motion = match self.takes_commands() {
+            true => format!("{}\n{}", self.describe_motion(), self.describe_commands(period_ns)),
+            false => {
+                format!("no motion: {}; its values are shown, and calls are taken", self.why_no_commands())
+            }
+        };
         let shown: Vec<String> = self.shown().into_iter().flatten().map(|channel| channel.name).collect();
-        lines.push(format!("shows {}", shown.join(", ")));
-        lines.push(match self.explicit {
-            Explicit::Unconnected => "explicit messages go unconnected, one at a time".to_owned(),
-            Explicit::Connected => "explicit messages go on a class 3 connection, one at a time".to_owned(),
-        });
-        lines.push(format!("if the master dies: {}", self.describe_death()));
+        let explicit = match self.explicit {
+            Explicit::Unconnected => "unconnected",
+            Explicit::Connected => "on a class 3 connection",
+        };
+        let lines = [
+            format!("{bind} -> {}", self.address),
+            self.expected.describe(),
+            self.describe_connection(),
+            self.describe_intervals(period_ns),
+            motion,
+            format!("shows {}", shown.join(", ")),
+            format!("explicit messages go {explicit}, one at a time"),
+            format!("if the master dies: {}", self.describe_death()),
+        ];
         lines.join("\n")
     }
 

@@ -10,7 +10,7 @@ use fieldbeat_ethernet_ip::wire::encapsulation::{
     Connected, DATA_MAX, Frame, HEADER, Identity, Listed, Malformed, Unconnected,
 };
 use fieldbeat_ethernet_ip::wire::io::Packet;
-use fieldbeat_ethernet_ip::wire::message::{self, ProfileCode, immediate};
+use fieldbeat_ethernet_ip::wire::message::{self, immediate};
 
 pub fn ethernet_ip_wire(data: &[u8]) {
     packet(data);
@@ -70,7 +70,7 @@ fn stream(bytes: &[u8]) {
 
 /// The data of messages, and what is in them.
 fn message(bytes: &[u8]) {
-    let _ = (Listed::parse(bytes), Identity::parse(bytes), ProfileCode::parse(bytes));
+    let _ = (Listed::parse(bytes), Identity::parse(bytes), message::version(bytes));
     let position = message::immediate(immediate::READ_POSITION, 0, 0);
     let _ = (Unconnected::parse(bytes), Connected::parse(bytes), message::answer(&position, bytes));
     if let Some(items) = Items::parse(bytes) {

@@ -12,7 +12,7 @@ use crate::wire::assembly::status;
 use crate::wire::cip::{Reply, Status, service};
 use crate::wire::connection::{self, ConnectionError, Opened, timeout_factor};
 use crate::wire::encapsulation::{self, Frame, Identity, Unconnected, command};
-use crate::wire::message::{ProfileCode, answer};
+use crate::wire::message::{self, answer};
 use fieldbeat_core::axis::acyclic::CallError;
 use fieldbeat_core::time::Time;
 
@@ -207,14 +207,11 @@ impl Session {
     }
 
     fn profiled(&mut self, reply: &Reply<'_>) -> Result<(), String> {
-        let profile = ProfileCode::parse(reply.data).filter(|_| reply.status.is_ok());
-        match profile {
-            Some(profile) => self.version = Some(profile.version()),
-            None if reply.status.is_ok() => {
-                return Err(words::no_profile(&self.device, "its profile code is too short"));
-            }
-            None => return Err(words::no_profile(&self.device, &reply.status.to_string())),
-        }
+        let version = match message::version(reply.data) {
+            _ if !reply.status.is_ok() => Err(reply.status.to_string()),
+            found => found.ok_or("its profile code is too short".to_owned()),
+        };
+        self.version = Some(version.map_err(|why| words::no_profile(&self.device, &why))?);
         self.phase = Phase::Up;
         Ok(())
     }

@@ -7,7 +7,7 @@
 //! | the small or the large request | small, then large |
 
 use crate::plan::{Access, MoonsDrive};
-use crate::wire::cip::{Configuration, Status};
+use crate::wire::cip::Status;
 
 /// Connection sizes of heartbeats: with the sequence count, with run/idle too, with neither.
 const HEARTBEATS: [u8; 3] = [2, 6, 0];
@@ -44,14 +44,12 @@ impl Form {
     }
 
     /// The data for the configuration assembly.
-    pub(super) fn configuration(&self) -> Configuration<'_> {
-        let data = match &self.configured {
+    pub(super) fn configuration(&self) -> &[u8] {
+        match &self.configured {
             Some(data) => data,
-            None if self.zeros => &ZEROS[..],
+            None if self.zeros => &ZEROS,
             None => &[],
-        };
-        // `check` refuses what is longer.
-        Configuration::new(data).unwrap_or(Configuration::NONE)
+        }
     }
 
     /// The connection size of our packets, if they are heartbeats.

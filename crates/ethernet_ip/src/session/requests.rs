@@ -5,7 +5,7 @@ use std::net::{Ipv4Addr, SocketAddrV4};
 use super::{ANSWER_NS, Connected, Io, Open, Pending, Session, Way, What};
 use crate::exchange::Outputs;
 use crate::plan::{Access, Delivery, Expected, IO_PORT, Originator, Version};
-use crate::wire::cip::{self, Configuration, Key, Segment, class, service};
+use crate::wire::cip::{self, Key, Segment, class, service};
 use crate::wire::connection::{Direction, ForwardOpen, Route, Target, Triad, incoming_size};
 use crate::wire::message::{self, Payload, immediate};
 use crate::wire::{encapsulation, io};
@@ -183,7 +183,7 @@ impl Session {
             incoming: direction,
             key: self.key(),
             target: Target::Messages,
-            configuration: Configuration::NONE,
+            configuration: &[],
             large: false,
         };
         let what = What::OpenConnected(Open { triad, target: Target::Messages });

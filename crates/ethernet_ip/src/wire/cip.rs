@@ -60,25 +60,13 @@ pub enum Segment<'a> {
     Point(u16),
     /// An electronic key.
     Key(Key),
-    /// Data for the target of a connection.
-    Data(Configuration<'a>),
+    /// Data for the target of a connection: that of a configuration assembly, at most [`DATA_MAX`] bytes. Without any
+    /// there is no segment; a byte 0 completes the last word.
+    Data(&'a [u8]),
 }
 
-/// The data in a path: that of a configuration assembly. Without any there is no segment.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Configuration<'a>(&'a [u8]);
-
-impl<'a> Configuration<'a> {
-    /// The most bytes: whole frames of 512 bytes are what every device takes.
-    pub const MAX: usize = 256;
-    /// No data.
-    pub const NONE: Configuration<'static> = Configuration(&[]);
-
-    /// `None` if it is longer than [`MAX`](Self::MAX). A byte 0 completes the last word.
-    pub fn new(data: &'a [u8]) -> Option<Configuration<'a>> {
-        (data.len() <= Configuration::MAX).then_some(Configuration(data))
-    }
-}
+/// The most bytes of data in a path: whole frames of 512 bytes are what every device takes.
+pub const DATA_MAX: usize = 256;
 
 /// Appends the padded path and returns its 16-bit words.
 ///
@@ -91,14 +79,15 @@ fn path(out: &mut Vec<u8>, segments: &[Segment<'_>]) -> u8 {
             Segment::Instance(instance) => logical(out, 0x24, instance),
             Segment::Point(point) => logical(out, 0x2C, point),
             Segment::Attribute(attribute) => logical(out, 0x30, attribute),
-            Segment::Key(Key { vendor: 0, product_code: 0 }) | Segment::Data(Configuration([])) => (),
+            Segment::Key(Key { vendor: 0, product_code: 0 }) | Segment::Data([]) => (),
             Segment::Key(Key { vendor, product_code }) => {
                 out.extend([0x34, 0x04]);
                 // Of any device type and revision.
                 out.extend([vendor, 0, product_code, 0].map(u16::to_le_bytes).as_flattened());
             }
-            Segment::Data(Configuration(data)) => {
-                // At most `Configuration::MAX`, so that it fits.
+            Segment::Data(data) => {
+                // The words of more would not fit.
+                let data = data.get(..DATA_MAX).unwrap_or(data);
                 out.extend([0x80, data.len().div_ceil(2) as u8]);
                 out.extend(data);
                 out.extend((!data.len().is_multiple_of(2)).then_some(0));

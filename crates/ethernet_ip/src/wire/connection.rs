@@ -3,7 +3,7 @@
 use thiserror::Error;
 
 use super::assembly::{self, Version};
-use super::cip::{self, Configuration, Key, Reply, Segment, Status, class, service};
+use super::cip::{self, Key, Reply, Segment, Status, class, service};
 use super::{Reader, io};
 
 /// The path of the connection manager.
@@ -121,7 +121,7 @@ impl Target {
     }
 
     /// Appends the words of the path, `between` and the path.
-    fn path(self, out: &mut Vec<u8>, between: &[u8], key: Key, configuration: Configuration<'_>) {
+    fn path(self, out: &mut Vec<u8>, between: &[u8], key: Key, configuration: &[u8]) {
         let [class, instance, points @ ..] = match self {
             Target::Assemblies { output, input } => [
                 Segment::Class(class::ASSEMBLY),
@@ -130,7 +130,7 @@ impl Target {
                 Segment::Point(input),
             ],
             Target::Messages => {
-                let none = Segment::Data(Configuration::NONE);
+                let none = Segment::Data(&[]);
                 [Segment::Class(class::MESSAGE_ROUTER), Segment::Instance(1), none, none]
             }
         };
@@ -163,7 +163,7 @@ pub struct ForwardOpen<'a> {
     /// What it is to.
     pub target: Target,
     /// Data for the configuration assembly.
-    pub configuration: Configuration<'a>,
+    pub configuration: &'a [u8],
     /// In the large form, which a connection of more than 511 bytes always has.
     pub large: bool,
 }
@@ -191,7 +191,7 @@ impl ForwardOpen<'_> {
 pub fn forward_close(triad: Triad, target: Target) -> Vec<u8> {
     let mut message = cip::request(service::FORWARD_CLOSE, &MANAGER, &PATIENCE);
     triad.emit(&mut message);
-    target.path(&mut message, &[0], Key::default(), Configuration::NONE);
+    target.path(&mut message, &[0], Key::default(), &[]);
     message
 }
 

@@ -1,7 +1,6 @@
 //! These drives' own messages: service 0x3C of class 0x64, eight bytes each way, big-endian (Applied Motion, Host
 //! Command Reference 920-0002 W, EtherNet/IP explicit messages).
 
-use super::Reader;
 use super::assembly::Version;
 use super::cip::{Segment, class};
 use super::opcodes::{Opcode, Operand};
@@ -100,39 +99,12 @@ pub fn answer(request: &[u8], answer: &[u8]) -> Option<u32> {
     })
 }
 
-/// What a drive says of its hardware and firmware.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct ProfileCode {
-    /// The firmware of the Ethernet board, major and minor.
-    pub board: (u16, u16),
-    /// The letter of the profile: 'A'.
-    pub profile: u8,
-    /// The model: 0xB0 is an STF.
-    pub model: u8,
-    /// The sub-model.
-    pub sub_model: u8,
-    /// The firmware of the drive: major, minor, letter.
-    pub firmware: (u8, u8, u8),
-}
-
-impl ProfileCode {
-    /// The first firmware of the board that has the assemblies 0x65 and 0x70.
-    const SECOND_VERSION: (u16, u16) = (251, 0);
-
-    /// The attribute; `None` if it is shorter.
-    pub fn parse(data: &[u8]) -> Option<ProfileCode> {
-        let mut reader = Reader(data);
-        Some(ProfileCode {
-            board: (u16::from_be_bytes(reader.array()?), u16::from_be_bytes(reader.array()?)),
-            profile: reader.byte()?,
-            model: reader.byte()?,
-            sub_model: reader.byte()?,
-            firmware: (reader.byte()?, reader.byte()?, reader.byte()?),
-        })
-    }
-
-    /// Which assemblies it has.
-    pub fn version(&self) -> Version {
-        if self.board >= ProfileCode::SECOND_VERSION { Version::V2 } else { Version::V1 }
-    }
+/// Which assemblies a drive has, by its profile code: the firmware of its Ethernet board (major and minor, two bytes
+/// each), the letter of the profile, model, sub-model, and the drive's own firmware (major, minor, letter). `None`: it
+/// is shorter.
+pub fn version(profile_code: &[u8]) -> Option<Version> {
+    /// The first firmware of the board that has the assemblies 0x65 and 0x70: 251.0.
+    const SECOND: [u8; 4] = [0, 251, 0, 0];
+    let code: &[u8; 10] = profile_code.first_chunk()?;
+    Some(if code[..4] >= SECOND[..] { Version::V2 } else { Version::V1 })
 }

@@ -8,7 +8,7 @@
 
 use std::net::{Ipv4Addr, SocketAddrV4};
 
-use super::cip::{Configuration, Key, Reply, Segment, Status};
+use super::cip::{Key, Reply, Segment, Status};
 use super::connection::{Direction, ForwardOpen, Route, Target, Triad};
 use super::encapsulation::Frame;
 use crate::{Access, Version};
@@ -49,7 +49,7 @@ fn owner() -> ForwardOpen<'static> {
         incoming: direction(super::connection::incoming_size(Version::V2)),
         key: Key::default(),
         target: Target::assemblies(Access::Owner, Version::V2),
-        configuration: Configuration::NONE,
+        configuration: &[],
         large: false,
     }
 }

@@ -30,16 +30,15 @@ fn paths_are_those_of_the_sheet_in_an_opening_and_without_data_in_a_close() {
         (Access::ListenOnly, Version::V2, &[], any, "04 20 04 24 66 2C 68 2C 65"),
         (Access::Owner, Version::V2, &[], key, "09 34 04 3C 00 00 00 03 00 00 00 20 04 24 66 2C 70 2C 65"),
     ] {
-        let (target, configuration) =
-            (Target::assemblies(access, version), Configuration::new(data).unwrap());
-        let open = ForwardOpen { target, configuration, key, ..owner() };
+        let target = Target::assemblies(access, version);
+        let open = ForwardOpen { target, configuration: data, key, ..owner() };
         assert_eq!(open.message()[41..], hex(golden), "{golden}");
     }
     // The longest that is taken, and one more.
-    let longest = [7; Configuration::MAX + 1];
-    assert_eq!(Configuration::new(&longest), None);
-    let configuration = Configuration::new(&longest[1..]).unwrap();
-    let open = ForwardOpen { configuration, key, ..owner() }.message();
+    let longest = [7; cip::DATA_MAX + 1];
+    let open = |configuration| ForwardOpen { configuration, key, ..owner() }.message();
+    assert_eq!(open(&longest), open(&longest[1..]));
+    let open = open(&longest);
     assert_eq!(usize::from(open[41]) * 2, open.len() - 42);
     // Segments have 16 bits only where 8 do not do.
     let path =
