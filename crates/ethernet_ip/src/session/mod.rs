@@ -415,23 +415,19 @@ impl Session {
         if self.probe_due || self.calls.owes() {
             self.probe_due = false;
             self.ask(now, out, What::Probe);
-            return true;
-        }
-        if self.facts_due {
+        } else if self.facts_due {
             self.read_facts(now, out);
-            return true;
-        }
-        if let (Io::Closed { from }, Some(version), true) = (&self.io, self.version, self.drive.cyclic)
+        } else if let (Io::Closed { from }, Some(version), true) = (&self.io, self.version, self.drive.cyclic)
             && *from <= now
             && self.news.is_empty()
         {
             self.open(now, out, version);
-            return true;
+        } else if self.calls.advance(now) {
+            self.call(now, out);
+        } else {
+            return self.keep_alive(now, out);
         }
-        if self.calls.advance(now) {
-            return self.call(now, out);
-        }
-        self.keep_alive(now, out)
+        true
     }
 
     /// ZS and ZA are in no table of what explicit messages, registers or attributes read: they stay unknown.
@@ -449,27 +445,19 @@ impl Session {
     }
 
     /// Sends the next call, or opens the connection for it.
-    fn call(&mut self, now: Time, out: &mut Vec<u8>) -> bool {
+    fn call(&mut self, now: Time, out: &mut Vec<u8>) {
+        let connected = self.drive.explicit == Explicit::Connected;
         if !self.drive.cyclic && self.calls.waits_for_power() {
             self.ask(now, out, What::Power);
-            return true;
-        }
-        let connected = match (self.drive.explicit, self.connected) {
-            (Explicit::Connected, Connected::Closed) => {
-                self.connect(now, out);
-                return true;
-            }
-            (Explicit::Connected, Connected::Open { .. }) => true,
-            (Explicit::Unconnected, _) => false,
-        };
-        if let Some((until, message)) = self.calls.send(&self.end) {
+        } else if connected && matches!(self.connected, Connected::Closed) {
+            self.connect(now, out);
+        } else if let Some((until, message)) = self.calls.send(&self.end) {
             if connected {
                 self.send_connected(now, out, What::Call, until, message);
             } else {
                 self.send(now, out, What::Call, until, &message, None);
             }
         }
-        true
     }
 
     fn keep_alive(&mut self, now: Time, out: &mut Vec<u8>) -> bool {
