@@ -4,7 +4,7 @@ use std::net::{Ipv4Addr, SocketAddrV4};
 
 use super::wire::assembly::Inputs;
 pub use super::wire::assembly::{Layout, Version};
-pub use super::wire::connection::Access;
+pub use super::wire::connection::{Access, Delivery};
 use fieldbeat_core::axis::feedback::MONITOR_CHANNELS;
 use fieldbeat_core::axis::{AxisPlan, MonitorChannel, Unit, Units};
 use fieldbeat_core::bus::variant::{self, Variant};
@@ -140,16 +140,6 @@ impl Expected {
     pub const VENDOR: u16 = 60;
     /// Whatever answers there.
     pub const ANY: Expected = Expected { vendor: None, product: None, serial: None };
-}
-
-/// How the packets of a drive come.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Delivery {
-    /// To this master only.
-    #[default]
-    PointToPoint,
-    /// To a group that the drive chooses.
-    Multicast,
 }
 
 /// How explicit messages go.

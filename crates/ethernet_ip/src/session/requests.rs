@@ -6,7 +6,7 @@ use super::{ANSWER_NS, Connected, Io, Open, Pending, Session, Way, What};
 use crate::exchange::Outputs;
 use crate::plan::{Access, Delivery, Expected, IO_PORT, Originator, Version};
 use crate::wire::cip::{self, Key, Segment, class, service};
-use crate::wire::connection::{Direction, ForwardOpen, Route, Target, Triad, incoming_size};
+use crate::wire::connection::{Direction, ForwardOpen, Target, Triad, incoming_size};
 use crate::wire::message::{self, Payload, immediate};
 use crate::wire::{encapsulation, io};
 use fieldbeat_core::time::{MS, Time};
@@ -133,13 +133,16 @@ impl Session {
 
     /// Opens the class 1 connection.
     pub(super) fn open(&mut self, now: Time, out: &mut Vec<u8>, version: Version) {
-        let access = self.access(version);
-        let triad = self.triad(now);
-        let us = |ns: u64| u32::try_from(ns / 1_000).unwrap_or(u32::MAX);
-        let (route, incoming_id) = match self.drive.delivery {
-            Delivery::PointToPoint => (Route::PointToPoint, self.incoming_id(triad)),
+        let (access, delivery) = (self.access(version), self.drive.delivery);
+        let (triad, target) = (self.triad(now), Target::Assemblies { access, version });
+        let direction = |rpi_ns: u64, size, delivery| {
+            let rpi_us = u32::try_from(rpi_ns / 1_000).unwrap_or(u32::MAX);
+            Direction { rpi_us, size, delivery }
+        };
+        let incoming_id = match delivery {
+            Delivery::PointToPoint => self.incoming_id(triad),
             // The drive chooses.
-            Delivery::Multicast => (Route::Multicast, 0),
+            Delivery::Multicast => 0,
         };
         let (outputs, size) = match access {
             Access::Owner => (Outputs::Owned, io::OWNER_SIZE),
@@ -148,21 +151,21 @@ impl Session {
                 (Outputs::Heartbeat(size), size.into())
             }
         };
-        let (target, rpi_ns) = (Target::assemblies(access, version), self.drive.rpi_ns(self.period_ns));
-        let input_rpi_ns = self.drive.input_rpi_ns(self.period_ns);
+        let (rpi_ns, input_rpi_ns) =
+            (self.drive.rpi_ns(self.period_ns), self.drive.input_rpi_ns(self.period_ns));
         let request = ForwardOpen {
             incoming_id,
             triad,
             multiplier: self.drive.multiplier(self.period_ns),
-            outgoing: Direction { rpi_us: us(rpi_ns), size, route: Route::PointToPoint },
-            incoming: Direction { rpi_us: us(input_rpi_ns), size: incoming_size(version), route },
+            outgoing: direction(rpi_ns, size, Delivery::PointToPoint),
+            incoming: direction(input_rpi_ns, incoming_size(version), delivery),
             key: self.key(),
             target,
             configuration: self.form.configuration(),
             large: self.form.is_large(),
         };
         let message = request.message();
-        let elsewhere = route == Route::PointToPoint && self.bind.port() != IO_PORT;
+        let elsewhere = delivery == Delivery::PointToPoint && self.bind.port() != IO_PORT;
         // The drive takes the port only.
         let incoming = elsewhere.then(|| SocketAddrV4::new(Ipv4Addr::UNSPECIFIED, self.bind.port()));
         self.io = Io::Opening;
@@ -174,7 +177,7 @@ impl Session {
     pub(super) fn connect(&mut self, now: Time, out: &mut Vec<u8>) {
         let triad = self.triad(now);
         let direction =
-            Direction { rpi_us: CONNECTED_RPI_US, size: CONNECTED_SIZE, route: Route::PointToPoint };
+            Direction { rpi_us: CONNECTED_RPI_US, size: CONNECTED_SIZE, delivery: Delivery::PointToPoint };
         let request = ForwardOpen {
             incoming_id: self.incoming_id(triad),
             triad,

@@ -6,25 +6,19 @@ use std::str::FromStr;
 
 use super::Reader;
 
-/// The configuration.
+/// The configuration assembly.
 pub const CONFIGURATION: u16 = 0x66;
-/// In place of outputs: inputs only.
-pub const INPUT_ONLY: u16 = 0x67;
-/// In place of outputs: listen only.
-pub const LISTEN_ONLY: u16 = 0x68;
-/// Outputs.
-pub const OUTPUT: u16 = 0x70;
 
 /// The outputs, bytes.
 pub const OUTPUT_SIZE: usize = 64;
 /// The elements of input assembly 0x65.
 const ELEMENTS: usize = 14;
 
-/// The assemblies of a drive.
+/// The assemblies of a drive: its value is the input assembly.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Version {
     /// Input assembly 0x64, no outputs.
-    V1,
+    V1 = 0x64,
     /// Input assembly 0x65, output assembly 0x70.
     V2,
 }
@@ -39,15 +33,7 @@ pub enum Layout {
     Page,
 }
 
-/// The input assembly.
-pub const fn input(version: Version) -> u16 {
-    match version {
-        Version::V1 => 0x64,
-        Version::V2 => 0x65,
-    }
-}
-
-/// Its bytes.
+/// The input assembly, bytes.
 pub const fn input_size(version: Version) -> usize {
     match version {
         Version::V1 => 30,

@@ -18,13 +18,14 @@ pub const fn timeout_factor(code: u8) -> u32 {
     4 << if code < 7 { code } else { 7 }
 }
 
-/// How packets go.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Route {
-    /// To a group.
+/// How packets come: its value is on the wire.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Delivery {
+    /// To this master only.
+    #[default]
+    PointToPoint = 2,
+    /// To a group that the drive chooses.
     Multicast = 1,
-    /// To one.
-    PointToPoint,
 }
 
 /// One direction of a connection.
@@ -34,15 +35,15 @@ pub struct Direction {
     pub rpi_us: u32,
     /// Everything from the CIP sequence count on, bytes.
     pub size: u16,
-    /// How its packets go.
-    pub route: Route,
+    /// How its packets come.
+    pub delivery: Delivery,
 }
 
 impl Direction {
     /// `kind`: the priority of the packets, and whether they may be shorter.
     fn emit(&self, out: &mut Vec<u8>, kind: u8, large: bool) {
         out.extend(self.rpi_us.to_le_bytes());
-        let flags = (self.route as u8) << 5 | kind;
+        let flags = (self.delivery as u8) << 5 | kind;
         if large {
             out.extend((u32::from(flags) << 24 | u32::from(self.size)).to_le_bytes());
         } else {
@@ -74,14 +75,14 @@ impl Triad {
     }
 }
 
-/// What a connection may do.
+/// What a connection may do: its value is the output assembly, or what stands in its place.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Access {
     /// It owns the outputs.
     #[default]
-    Owner,
+    Owner = 0x70,
     /// It only reads, and is alone in that.
-    InputOnly,
+    InputOnly = 0x67,
     /// It reads what another connection has requested.
     ListenOnly,
 }
@@ -91,26 +92,16 @@ pub enum Access {
 pub enum Target {
     /// Process data: class 1, cyclic.
     Assemblies {
-        /// The point of what the originator sends.
-        output: u16,
-        /// The point of what the target sends.
-        input: u16,
+        /// What it may do. A drive of the first version has no outputs to own.
+        access: Access,
+        /// Which assemblies the drive has.
+        version: Version,
     },
     /// Explicit messages: class 3, server.
     Messages,
 }
 
 impl Target {
-    /// The assemblies of a drive. A unit of the first version has no outputs to own: `access` must not be the owner.
-    pub fn assemblies(access: Access, version: Version) -> Target {
-        let output = match access {
-            Access::Owner => assembly::OUTPUT,
-            Access::InputOnly => assembly::INPUT_ONLY,
-            Access::ListenOnly => assembly::LISTEN_ONLY,
-        };
-        Target::Assemblies { output, input: assembly::input(version) }
-    }
-
     /// The class of the transport, its trigger and its direction; and the packets: scheduled and of a fixed size, or of
     /// low priority and any size up to that.
     fn transport(self) -> (u8, u8) {
@@ -123,11 +114,11 @@ impl Target {
     /// Appends the words of the path, `between` and the path.
     fn path(self, out: &mut Vec<u8>, between: &[u8], key: Key, configuration: &[u8]) {
         let [class, instance, points @ ..] = match self {
-            Target::Assemblies { output, input } => [
+            Target::Assemblies { access, version } => [
                 Segment::Class(class::ASSEMBLY),
                 Segment::Instance(assembly::CONFIGURATION),
-                Segment::Point(output),
-                Segment::Point(input),
+                Segment::Point(access as u16),
+                Segment::Point(version as u16),
             ],
             Target::Messages => {
                 let none = Segment::Data(&[]);

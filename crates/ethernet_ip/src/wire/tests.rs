@@ -9,7 +9,7 @@
 use std::net::{Ipv4Addr, SocketAddrV4};
 
 use super::cip::{Key, Reply, Segment, Status};
-use super::connection::{Direction, ForwardOpen, Route, Target, Triad};
+use super::connection::{Delivery, Direction, ForwardOpen, Target, Triad};
 use super::encapsulation::Frame;
 use crate::{Access, Version};
 
@@ -40,7 +40,7 @@ fn with(fill: impl FnOnce(&mut Vec<u8>)) -> Vec<u8> {
 
 /// The opening of an exclusive owner, 10 ms, 16 intervals.
 fn owner() -> ForwardOpen<'static> {
-    let direction = |size| Direction { rpi_us: 10_000, size, route: Route::PointToPoint };
+    let direction = |size| Direction { rpi_us: 10_000, size, delivery: Delivery::PointToPoint };
     ForwardOpen {
         incoming_id: INCOMING_ID,
         triad: TRIAD,
@@ -48,7 +48,7 @@ fn owner() -> ForwardOpen<'static> {
         outgoing: direction(super::io::OWNER_SIZE),
         incoming: direction(super::connection::incoming_size(Version::V2)),
         key: Key::default(),
-        target: Target::assemblies(Access::Owner, Version::V2),
+        target: Target::Assemblies { access: Access::Owner, version: Version::V2 },
         configuration: &[],
         large: false,
     }

@@ -30,7 +30,7 @@ fn paths_are_those_of_the_sheet_in_an_opening_and_without_data_in_a_close() {
         (Access::ListenOnly, Version::V2, &[], any, "04 20 04 24 66 2C 68 2C 65"),
         (Access::Owner, Version::V2, &[], key, "09 34 04 3C 00 00 00 03 00 00 00 20 04 24 66 2C 70 2C 65"),
     ] {
-        let target = Target::assemblies(access, version);
+        let target = Target::Assemblies { access, version };
         let open = ForwardOpen { target, configuration: data, key, ..owner() };
         assert_eq!(open.message()[41..], hex(golden), "{golden}");
     }
