@@ -31,8 +31,8 @@ impl EthernetIpPlan {
         let mut wrong = |drive, key, message: &str| faults.push((drive, PlanFault::new(key, message)));
         let ip = self.bind.ip();
         if ip.is_unspecified() || ip.is_multicast() || ip.is_broadcast() {
-            let why = "must be the master's own address on the network of the drives: packets of several buses \
-                       share the port, and drives compare it with that of their session";
+            let why = "must be the master's own address on the network of the drives: packets of several \
+                       buses share the port, and drives compare it with that of their session";
             wrong(0, "bind", why);
         }
         if self.dscp > 63 {
@@ -148,8 +148,8 @@ impl MoonsDrive {
         }
         let (within, least) = (self.watchdog.within_ns, rpi.saturating_mul(2));
         if within.is_none() && self.takes_commands() && !self.watchdog.accept_none {
-            let why = "must be \"accept\" with watchdog = \"off\": nothing stops the drive if the master dies; or \
-                       set ZS of the drive, and watchdog to that";
+            let why = "must be \"accept\" with watchdog = \"off\": nothing stops the drive if the master \
+                       dies; or set ZS of the drive, and watchdog to that";
             wrong("no_drive_watchdog", why.to_owned());
         }
         if within.is_some_and(|within| !(least..=WATCHDOG_MAX_NS).contains(&within)) {
