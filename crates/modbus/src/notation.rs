@@ -16,7 +16,8 @@
 //! Parameters of one menu that follow one another are read or written in one request: a [`Block`], with the services of
 //! `long`, and their values as in a message.
 //!
-//! A [`Call`] is a [`Service`]. The status of its answer is 0, the drive's exception code, or one of [`NOT_TAKEN`] and [`UNREACHABLE`].
+//! A [`Call`] is a [`Service`]. The status of its answer is 0, the drive's exception code, or one of [`NOT_TAKEN`] and
+//! [`UNREACHABLE`].
 
 mod list;
 

@@ -72,7 +72,8 @@ impl DriveController {
         self.measured.was_online = self.feedback.link == Link::Online;
         let jumped = if slot.notices.fresh { self.weigh(slot) } else { None };
         let mut rtt = None;
-        // What ended besides this exchange, and when the request was sent that is reported on, if that is an earlier one.
+        // What ended besides this exchange, and when the request was sent that is reported on, if that is an earlier
+        // one.
         let (ended, reported) =
             if slot.has_earlier { self.judge_earlier(cycle, now, slot) } else { (None, None) };
         // The usual end of an exchange, in a cycle that has one.
