@@ -73,9 +73,8 @@ impl LinUdpBus {
             stations.push(station);
             ends.push(native, acyclic);
         }
-        let note = |(drive, station): (&LinUdpDrive, &Station)| {
-            (drive.address, drive.serial.map(|serial| (serial, station.serial_note())))
-        };
+        let note =
+            |(drive, station): (&LinUdpDrive, &Station)| (drive.address, drive.serial, station.serial_note());
         let notes = SerialNotes(plan.drives.iter().zip(&stations).map(note).collect());
         let powers = stations.iter().map(Station::power_sent);
         let last = twin.map(|twin| LastStop::new(twin, plan.drives.iter().zip(powers)));
@@ -127,13 +126,12 @@ impl LinUdpBus {
 
 /// Of drives that have to be certain ones: why one is not connected although it answers.
 #[derive(Debug)]
-struct SerialNotes(Vec<(SocketAddrV4, Option<(Serial, NoteCells<SerialNote>)>)>);
+struct SerialNotes(Vec<(SocketAddrV4, Option<Serial>, NoteCells<SerialNote>)>);
 
 impl Notes for SerialNotes {
     fn get(&self, index: usize) -> Option<String> {
-        let (address, known) = self.0.get(index)?;
-        let (serial, note) = known.as_ref()?;
-        Some(format!("{address}: {}", note.get(0).text(*serial)?))
+        let (address, serial, note) = self.0.get(index)?;
+        Some(format!("{address}: {}", note.get(0).text((*serial)?)?))
     }
 }
 

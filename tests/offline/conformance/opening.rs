@@ -52,8 +52,7 @@ pub fn a_bus_that_cannot_be_opened_is_an_error_with_its_name_and_a_remedy(subjec
     if line.can.stream {
         return not_applicable(subject, "a place that is taken", "it listens nowhere");
     }
-    let error =
-        line.wire.open(PERIOD, &line.world).err().expect("its place on the wire is taken").to_string();
+    let error = line.wire.open(PERIOD, &line.world).expect_err("its place on the wire is taken").to_string();
     assert!(error.contains(line.wire.name()), "{error}");
     let remedy = error.rsplit(';').next().unwrap_or_default();
     assert!(error.contains(';') && remedy.trim().len() > 10, "no remedy: {error}");

@@ -174,10 +174,10 @@ impl DriveController {
             self.rest.stop();
         } else if commanded {
             self.rest.interrupt();
-        } else if !slot.status.suspect {
-            if self.rest.moves(now, &self.feedback.status, &self.plan.stop, seconds) {
-                return Some(if broken { StopCause::Limit } else { StopCause::Uncommanded });
-            }
+        } else if !slot.status.suspect
+            && self.rest.moves(now, &self.feedback.status, &self.plan.stop, seconds)
+        {
+            return Some(if broken { StopCause::Limit } else { StopCause::Uncommanded });
         }
         // The stop sequence has its own time-out.
         (broken && !braking).then_some(StopCause::Limit)
