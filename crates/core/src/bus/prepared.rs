@@ -123,7 +123,8 @@ impl<T: Clone + PartialEq> Prepared<T> {
     /// void.
     pub fn change<R>(&mut self, change: impl FnOnce(&mut T) -> R) -> R {
         self.revision += 1;
-        (self.is_proposed, self.is_void) = (false, self.built_for.take().is_some());
+        self.is_void |= self.built_for.take().is_some();
+        self.is_proposed = false;
         change(&mut self.left)
     }
 }
@@ -144,9 +145,11 @@ mod tests {
                     *prepared.propose(of) += random.u64(..3);
                     if random.u8(..4) == 0 {
                         // A report between building and leaving.
-                        prepared.change(|state| *state ^= 8);
-                        model ^= 8;
-                        assert!(!prepared.holds(of));
+                        for _ in 0..random.u8(1..3) {
+                            prepared.change(|state| *state ^= 8);
+                            model ^= 8;
+                            assert!(prepared.is_void() && !prepared.holds(of));
+                        }
                     }
                 }
                 if random.bool() {
