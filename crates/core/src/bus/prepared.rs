@@ -13,8 +13,8 @@
 pub struct Prepared<T> {
     /// Advances with each change of the state.
     revision: u64,
-    /// The revisions that the telegram was built for; `None`: none is built.
-    built_for: Option<(u64, u64)>,
+    /// The revisions that the telegram was built for, or [`NONE`].
+    built_for: (u64, u64),
     /// Its leaving may change the state.
     is_proposed: bool,
     /// The state has changed since it was built.
@@ -23,11 +23,14 @@ pub struct Prepared<T> {
     proposed: T,
 }
 
+/// No telegram is built: no revision comes to this.
+const NONE: (u64, u64) = (u64::MAX, u64::MAX);
+
 impl<T: Clone + PartialEq> Prepared<T> {
     /// Nothing has left.
     pub fn new(state: T) -> Prepared<T> {
         let proposed = state.clone();
-        Prepared { revision: 0, built_for: None, is_proposed: false, is_void: false, left: state, proposed }
+        Prepared { revision: 0, built_for: NONE, is_proposed: false, is_void: false, left: state, proposed }
     }
 
     /// The state that what has left has led to.
@@ -70,7 +73,7 @@ impl<T: Clone + PartialEq> Prepared<T> {
     /// The telegram that was built last holds for this revision of what is desired.
     #[inline]
     pub fn holds(&self, desired: u64) -> bool {
-        self.built_for == Some((desired, self.revision))
+        self.built_for == (desired, self.revision)
     }
 
     /// A telegram was built, and the state has changed since: it is to be built again before it leaves.
@@ -81,7 +84,7 @@ impl<T: Clone + PartialEq> Prepared<T> {
 
     /// Builds a telegram for this revision of what is desired: the state to be changed is the one behind it.
     pub fn propose(&mut self, desired: u64) -> &mut T {
-        self.built_for = Some((desired, self.revision));
+        self.built_for = (desired, self.revision);
         (self.is_proposed, self.is_void) = (true, false);
         self.proposed.clone_from(&self.left);
         &mut self.proposed
@@ -99,7 +102,7 @@ impl<T: Clone + PartialEq> Prepared<T> {
     #[inline]
     pub fn withdraw(&mut self) {
         if std::mem::take(&mut self.is_proposed) && self.proposed != self.left {
-            self.built_for = None;
+            self.built_for = NONE;
         }
     }
 
@@ -123,7 +126,7 @@ impl<T: Clone + PartialEq> Prepared<T> {
     /// void.
     pub fn change<R>(&mut self, change: impl FnOnce(&mut T) -> R) -> R {
         self.revision += 1;
-        self.is_void |= self.built_for.take().is_some();
+        self.is_void |= std::mem::replace(&mut self.built_for, NONE) != NONE;
         self.is_proposed = false;
         change(&mut self.left)
     }

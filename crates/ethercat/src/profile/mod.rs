@@ -390,7 +390,7 @@ impl Profile {
 
     /// The last built exchange was sent, and its outputs count. Returns whether there was something new in it, but for
     /// the setpoint and its row.
-    #[inline]
+    #[inline(always)] // As `Station::sent`.
     pub(super) fn sent(&mut self) -> bool {
         self.row.sent(self.wanted_row, self.answers);
         self.sent.setpoints = (self.setpoint, self.sent.setpoints.0);
