@@ -286,7 +286,14 @@ impl Profile {
     /// as that is known.
     pub(super) fn dropped(&mut self) {
         (self.power.since, self.motion.since, self.steady) = (self.answers, self.answers, None);
-        self.state.change(State::leave_native);
+        self.state.change(|state| {
+            let NativeOutput { mask, words: [control, ..] } = state.output;
+            state.leave_native();
+            // The control word stays its owner's.
+            if state.native_owner == Some(NativeOwner::Application) {
+                (state.output.mask, state.output.words[0]) = (mask & 1, control);
+            }
+        });
     }
 
     /// Its diagnosis reports its watchdog as on, or off.

@@ -70,10 +70,11 @@ impl<T: Clone + PartialEq> Prepared<T> {
         self.revision
     }
 
-    /// The telegram that was built last holds for this revision of what is desired.
+    /// The telegram that was built last has left, and holds for this revision of what is desired. One that has not left is
+    /// built again: time has passed.
     #[inline]
     pub fn holds(&self, desired: u64) -> bool {
-        self.built_for == (desired, self.revision)
+        !self.is_proposed && self.built_for == (desired, self.revision)
     }
 
     /// A telegram was built, and the state has changed since: it is to be built again before it leaves.
@@ -158,12 +159,13 @@ mod tests {
                 if random.bool() {
                     let more = random.u64(..3);
                     *prepared.propose(desired) += more;
-                    assert!(prepared.holds(desired) && *prepared.proposed() == model + more);
+                    assert!(!prepared.holds(desired) && *prepared.proposed() == model + more);
                     let (before, revision) = (model, prepared.revision());
                     model += more;
                     assert_eq!(prepared.leave(), (model != before).then_some((&before, &model)));
                     assert_eq!(prepared.revision() != revision, model != before);
                     assert_eq!(prepared.leave(), None, "it leaves once");
+                    assert_eq!(prepared.holds(desired), model == before);
                 }
                 if random.u8(..4) == 0 {
                     prepared.change(|state| *state += 1);

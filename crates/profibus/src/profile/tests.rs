@@ -1,7 +1,7 @@
 //! What is proved of the outputs: the answers to new telegrams alone count.
 
 use super::*;
-use crate::native::Native;
+use crate::native::{NATIVE_WORDS, Native};
 use fieldbeat_core::bus::desired::Intent;
 use fieldbeat_core::bus::native::native;
 
@@ -80,4 +80,28 @@ fn a_newer_output_is_proved_anew_and_the_other_stays_proved() {
         rig.sends();
         assert_eq!(rig.answered(), proved);
     }
+}
+
+#[test]
+fn a_control_word_of_the_application_stays_when_the_drive_drops_out() {
+    let (mut application, port): (Native, _) = native();
+    let mut rig = Rig { native: port, ..Rig::new() };
+    rig.power(1, Power::EnableOperation);
+    rig.motion(1, Motion::Native(NativeOwner::Application));
+    rig.sends();
+    let words = [6; NATIVE_WORDS];
+    application.write(NativeOutput { mask: 0b101, words }).unwrap();
+    let written =
+        |rig: &Rig| rig.profile.native().map(|(output, whole)| (output.mask, output.words[0], whole));
+    rig.sends();
+    assert_eq!(written(&rig), Some((0b101, 6, true)));
+    for _ in 0..2 {
+        rig.profile.dropped();
+        rig.sends();
+        assert_eq!(written(&rig), Some((1, 6, true)));
+    }
+    // It is the master's again.
+    rig.motion(2, Motion::Hold);
+    rig.sends();
+    assert_eq!(written(&rig), None);
 }
