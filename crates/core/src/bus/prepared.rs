@@ -70,8 +70,8 @@ impl<T: Clone + PartialEq> Prepared<T> {
         self.revision
     }
 
-    /// The telegram that was built last has left, and holds for this revision of what is desired. One that has not left is
-    /// built again: time has passed.
+    /// The telegram that was built last has left, and holds for this revision of what is desired. One that has not left
+    /// is built again: time has passed.
     #[inline]
     pub fn holds(&self, desired: u64) -> bool {
         !self.is_proposed && self.built_for == (desired, self.revision)
