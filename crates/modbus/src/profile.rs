@@ -292,7 +292,7 @@ impl Profile {
     #[inline(never)]
     fn sent_new(&mut self, native: &mut NativePort) {
         if let Some((before, state)) = self.state.leave() {
-            // It is to be accepted anew.
+            // It has to be accepted again.
             self.taken &= state.serials == before.serials;
             let begins = state.serials.1 != before.serials.1;
             native.left(state.native_taken != before.native_taken, begins.then(|| state.is_native()));

@@ -475,7 +475,7 @@ pub fn the_same_seed_is_the_same_run_to_the_byte(subject: &'static dyn Subject) 
 }
 
 pub fn what_is_built_and_does_not_leave_has_no_effect(subject: &'static dyn Subject) {
-    // So each request is built anew, too, and is the same to the byte.
+    // So each request is built again, too, and is the same to the byte.
     for seed in 1..4 {
         let (plain, proposing) = (storm(subject, seed, None), storm(subject, seed, Some(seed)));
         for (index, (one, other)) in plain.requests.iter().zip(&proposing.requests).enumerate() {

@@ -144,9 +144,9 @@ pub enum ReplyWithin {
     /// On a half-duplex wire, where a request waits for its turn: the longest times from the slot in which an exchange
     /// is due, all turns before its own included, ns.
     Turn {
-        /// To the begin of its request.
+        /// Until its request begins.
         request_ns: u64,
-        /// To its end.
+        /// Until its end.
         end_ns: u64,
     },
     /// The drive sends by its own clock: a packet counts for so long, ns. Requests to it are due by divisor and phase

@@ -54,7 +54,7 @@ pub const fn immediate(opcode: u8, operand: u8, value: u32) -> Payload {
     [0, IMMEDIATE, opcode, operand, a, b, c, d]
 }
 
-/// A command for the buffer; `None` if it has no such operand. `field`: the register or I/O code beside the operand, 0
+/// A command for the buffer; `None` if it has no such operand. `field`: the register or I/O code next to the operand, 0
 /// for most. Two I/O codes have the first one in the lower half.
 ///
 /// A negative operand of 16 bits is not extended: the manual does not say it.
