@@ -157,6 +157,7 @@ macro_rules! clauses {
                 one_lost_drive_leaves_the_others_untouched,
                 a_lost_drive_comes_back_by_the_application_only_and_homed_is_read_again,
                 a_restart_in_mid_motion_ends_latched_and_nothing_moves_by_itself,
+                a_restart_that_nothing_else_shows_brings_no_power_back,
                 found_running_is_stopped_or_left_alone_as_its_plan_says,
                 a_fault_of_the_drive_latches_its_axis,
                 the_same_seed_is_the_same_run_to_the_byte,

@@ -288,6 +288,24 @@ pub fn a_restart_in_mid_motion_ends_latched_and_nothing_moves_by_itself(subject:
     assert_eq!((m.feedback(1).stopped, m.outcome(1, ids[1])), (None, None), "its neighbour goes on");
 }
 
+/// Neither the loss of its link nor anything else stops it before: what the drive was commanded to do before it restarted
+/// is not sent to it again, not even in the first telegrams.
+pub fn a_restart_that_nothing_else_shows_brings_no_power_back(subject: &'static dyn Subject) {
+    if subject.can().sessions {
+        return not_applicable(subject, "a restart within the bucket of its link", "its session ends first");
+    }
+    let mut m = Machine::new(subject, 2, |_, drive| drive.axis.health.bucket = 100_000);
+    m.moving();
+    m.restart(0);
+    // Its last reply of before is the newest one for a while.
+    m.until("the drive reports itself off", 5_000, |m| !m.tape(0, |tape| tape.said()).powered);
+    m.until("it is stopped", 5_000, |m| {
+        let said = m.tape(0, |tape| tape.said());
+        assert!(!said.powered && !said.moving, "{said:?}, {:?}", m.feedback(0));
+        m.feedback(0).stopped.is_some()
+    });
+}
+
 pub fn found_running_is_stopped_or_left_alone_as_its_plan_says(subject: &'static dyn Subject) {
     if subject.can().comes_up_off {
         return not_applicable(subject, "a drive found running", "to bring it up takes its power");

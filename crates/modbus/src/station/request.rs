@@ -73,8 +73,10 @@ impl Station {
             return;
         }
         self.grid = cycle.grid;
-        // A drive that does not follow the control word, and cannot be configured to, is only read.
-        let outputs = if self.conn.finding.obeys || self.conn.settable { outputs } else { None };
+        // A drive that does not follow the control word, and cannot be configured to, is only read. So is one that was
+        // found restarted, until the loop has seen that: what is desired is what it was commanded before.
+        let is_written = (self.conn.finding.obeys || self.conn.settable) && !slot.notices.restarted;
+        let outputs = outputs.filter(|_| is_written);
         self.conn.outputs = outputs.unwrap_or_default();
         let sets = self.end != End::NotYet || self.conn.set < self.settings.len();
         if let Some(template) = &self.conn.templates[0]
