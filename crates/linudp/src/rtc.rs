@@ -14,6 +14,7 @@ use super::upid::Upid;
 use super::wire::{RtcBlock, RtcCommand, RtcStatus};
 use fieldbeat_core::axis::Link;
 use fieldbeat_core::axis::acyclic::{Answer, Call, CallError, Port, Posted};
+use fieldbeat_core::bus::Calls;
 use fieldbeat_core::rt::Regions;
 use fieldbeat_core::time::{MS, S, Time};
 
@@ -45,7 +46,7 @@ const HARMLESS: Upid = Upid::MONITOR_SOURCE;
 #[derive(Debug)]
 #[repr(C)]
 pub(super) struct RtcChannel {
-    port: Port,
+    calls: Calls,
     /// The count of the last own block that went out, and the last prepared one.
     sent: u8,
     prepared: Option<RtcBlock>,
@@ -66,9 +67,6 @@ pub(super) struct RtcChannel {
     software_stopped: bool,
     /// The drive has restarted since a list or a block was started: it has lost it.
     forgotten: bool,
-    /// A call that commands the drive ended without the drive's answer: it may still be carried out, until the drive
-    /// has stored a later command.
-    unsettled: bool,
     monitor: Monitor,
 }
 
@@ -189,7 +187,7 @@ impl RtcChannel {
     /// The channel behind `port`, which has the drive monitor `sources` and answer `within` so many cycles.
     pub(super) fn new(port: Port, sources: [Option<Upid>; 4], within: u8) -> RtcChannel {
         RtcChannel {
-            port,
+            calls: Calls::new(port, 0, 0),
             sent: 0,
             prepared: None,
             stored: Stored::Unknown,
@@ -202,26 +200,25 @@ impl RtcChannel {
             now: Time(0),
             software_stopped: false,
             forgotten: false,
-            unsettled: false,
             monitor: Monitor::new(sources),
         }
     }
 
     /// Adds what it touches besides itself, to be locked.
     pub(super) fn memory(&self, regions: &mut Regions) {
-        self.port.memory(regions);
+        self.calls.memory(regions);
     }
 
     /// There is nothing to send and nothing to wait for, until a call is posted or the drive restarts.
     pub(super) fn is_idle(&self) -> bool {
-        let busy = self.active.is_some() | self.unsettled | self.prepared.is_some();
+        let busy = self.active.is_some() | self.calls.is_unsettled() | self.prepared.is_some();
         !busy && self.monitor.is_done()
     }
 
     /// A call is posted.
     #[inline]
     pub(super) fn is_called(&self) -> bool {
-        !self.port.is_empty()
+        !self.calls.is_empty()
     }
 
     /// The block of the next request, if the channel has something to send. The same until the request has gone
@@ -234,10 +231,10 @@ impl RtcChannel {
         guarded: bool,
     ) -> Option<RtcBlock> {
         self.now = now;
-        self.port.guard(guarded);
+        self.calls.guard(guarded);
         let down = matches!(link, Link::Unseen | Link::Lost);
         if down {
-            self.port.refuse_all(CallError::NotOnline);
+            self.calls.refuse_all(CallError::NotOnline);
             self.monitor.forget();
         }
         if let Some(active) = self.active.as_mut().filter(|active| may_be_silent(active.command)) {
@@ -250,18 +247,16 @@ impl RtcChannel {
             };
         }
         if let Some(active) = self.active {
-            if !active.own && self.port.is_cancelled(&active.posted) {
-                self.end(Err(CallError::Cancelled));
-            } else if let Some(why) = self.port.refusal(&active.posted)
-                && !(active.own || active.has_gone_out())
-            {
+            let Active { posted, own, command, since, stage, .. } = active;
+            let over = match own {
+                true => (now.since(since) > posted.limit_ns).then_some(CallError::TimedOut),
+                false => self.calls.over(&posted, since, now, active.has_gone_out(), !down),
+            };
+            let is_lost = down && stage != Stage::Lost;
+            let over = over.or(is_lost.then_some(CallError::NotOnline));
+            let is_forgotten = self.forgotten && goes_on(command);
+            if let Some(why) = over.or(is_forgotten.then_some(CallError::Restarted)) {
                 self.end(Err(why));
-            } else if down && active.stage != Stage::Lost {
-                self.end(Err(CallError::NotOnline));
-            } else if self.forgotten && goes_on(active.command) {
-                self.end(Err(CallError::Restarted));
-            } else if now.since(active.since) > active.posted.limit_ns {
-                self.end(Err(CallError::TimedOut));
             }
         }
         if self.active.is_none() {
@@ -276,28 +271,29 @@ impl RtcChannel {
             }
         }
         // Nothing is sent into a silence.
-        let settles = self.unsettled && link == Link::Online && self.unanswered < self.within;
+        let settles = self.calls.is_unsettled() && link == Link::Online && self.unanswered < self.within;
         self.prepared = if settles || self.active.is_some() { self.block(now) } else { None };
         self.prepared
     }
 
     /// A call of the application that commands the drive is under way, or may still be carried out.
     pub(super) fn commands(&self) -> bool {
-        self.unsettled || self.active.is_some_and(|active| !active.own && self.port.commands(&active.posted))
+        self.calls.is_unsettled()
+            || self.active.is_some_and(|active| !active.own && self.calls.commands(&active.posted))
     }
 
     /// The next call: the station's own set-up comes first.
     fn take_up(&mut self, now: Time, powered: bool) {
-        let first = if std::mem::take(&mut self.turn) { self.port.take() } else { None };
+        let first = if std::mem::take(&mut self.turn) { self.calls.take() } else { None };
         let own = if first.is_some() { None } else { self.monitor.next() };
         let own_call = own.map(|call| Posted { limit_ns: OWN_LIMIT_NS, call, ..Posted::default() });
-        let Some(posted) = first.or(own_call).or_else(|| self.port.take()) else { return };
+        let Some(posted) = first.or(own_call).or_else(|| self.calls.take()) else { return };
         let command = RtcCommand(posted.call.service as u8);
         if self.forgotten && goes_on(command) {
-            return self.port.end(&posted, Err(CallError::Restarted));
+            return self.calls.end(&posted, Err(CallError::Restarted));
         }
         if powered && needs_power_off(command) {
-            return self.port.end(&posted, Err(CallError::Powered));
+            return self.calls.end(&posted, Err(CallError::Powered));
         }
         self.forgotten &= !begins(command);
         let (own, stage) = (own.is_some(), Stage::Waiting);
@@ -390,10 +386,11 @@ impl RtcChannel {
             // Only the count of a later command shows that an earlier one is over.
             let is_learned = match self.stored {
                 Stored::Learning(count) => count == echo,
-                Stored::Unknown | Stored::Known(_) => !self.unsettled,
+                Stored::Unknown | Stored::Known(_) => !self.calls.is_unsettled(),
             };
             if is_learned {
-                (self.stored, self.unsettled) = (Stored::Known(echo), false);
+                self.stored = Stored::Known(echo);
+                self.calls.settle();
             } else {
                 self.unechoed = self.unechoed.saturating_add(1);
             }
@@ -445,8 +442,9 @@ impl RtcChannel {
         if active.is_silent() || !answered {
             self.doubt();
         }
-        self.unsettled |=
-            active.has_gone_out() && !answered && !active.own && self.port.commands(&active.posted);
+        if active.has_gone_out() && !answered && !active.own && self.calls.commands(&active.posted) {
+            self.calls.doubt();
+        }
         let written = matches!(active.command, RtcCommand::WRITE_RAM | RtcCommand::WRITE_BOTH);
         if written && !active.own && (0x20A8..=0x20AB).contains(&active.posted.call.address) {
             // Another tool has chosen another source.
@@ -456,7 +454,7 @@ impl RtcChannel {
         if active.own {
             self.monitor.take(result);
         } else {
-            self.port.end(&active.posted, result);
+            self.calls.end(&active.posted, result);
         }
     }
 

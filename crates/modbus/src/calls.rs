@@ -5,8 +5,9 @@ use super::notation::{NOT_TAKEN, Service, Target, UNREACHABLE};
 use super::parameter::{Addressing, Parameter, Width};
 use super::wire::{REGISTERS_MAX, Registers, RegistersBuffer, Request, Response};
 use fieldbeat_core::axis::Link;
-use fieldbeat_core::axis::acyclic::long::{self, Kept, LOAD, PART, SIZE};
+use fieldbeat_core::axis::acyclic::long;
 use fieldbeat_core::axis::acyclic::{Answer, Call, CallError, Commanding, Port, Posted};
+use fieldbeat_core::bus;
 use fieldbeat_core::rt::Regions;
 use fieldbeat_core::time::Time;
 
@@ -62,15 +63,11 @@ const fn is_harmless(parameter: Parameter) -> bool {
 /// The calls to one drive.
 #[derive(Debug)]
 pub(super) struct Calls {
-    port: Port,
+    calls: bus::Calls<BLOCK>,
     addressing: Addressing,
     active: Option<Active>,
     /// Exchanges since the last call.
     since: u32,
-    /// A call that commands the drive was sent, and is not answered. Its ticket may be gone.
-    owed: bool,
-    /// The values of a block: what was read, or what is to be written.
-    block: Kept<BLOCK>,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -87,63 +84,47 @@ struct Active {
 
 impl Calls {
     pub(super) fn new(port: Port, addressing: Addressing) -> Calls {
-        Calls { port, addressing, active: None, since: 0, owed: false, block: Kept::default() }
+        let calls = bus::Calls::new(port, UNREACHABLE, UNREACHABLE);
+        Calls { calls, addressing, active: None, since: 0 }
     }
 
     /// Adds what it touches besides itself, to be locked.
     pub(super) fn memory(&self, regions: &mut Regions) {
-        self.port.memory(regions);
+        self.calls.memory(regions);
     }
 
     /// Starts the next call, and ends the finished one. True if the next exchange may be the call's. Calls that command
     /// a `guarded` drive are refused.
     #[inline]
     pub(super) fn advance(&mut self, now: Time, link: Link, on: bool, guarded: bool) -> bool {
-        self.port.guard(guarded);
+        self.calls.guard(guarded);
         // Usually there is none.
-        (self.active.is_some() || !self.port.is_empty()) && self.go_on(now, link, on)
+        (self.active.is_some() || !self.calls.is_empty()) && self.go_on(now, link, on)
     }
 
     fn go_on(&mut self, now: Time, link: Link, on: bool) -> bool {
-        if matches!(link, Link::Unseen | Link::Lost) {
-            self.port.refuse_all(CallError::NotOnline);
+        let online = !matches!(link, Link::Unseen | Link::Lost);
+        if !online {
+            self.calls.refuse_all(CallError::NotOnline);
         }
-        if let Some(active) = &self.active {
-            let over = match active.sent {
-                _ if now.since(active.begun) > active.posted.limit_ns => Some(CallError::TimedOut),
-                _ if self.port.is_cancelled(&active.posted) => Some(CallError::Cancelled),
-                false if matches!(link, Link::Unseen | Link::Lost) => Some(CallError::NotOnline),
-                false => self.port.refusal(&active.posted),
-                _ => None,
-            };
-            if let Some(why) = over {
-                self.end(Err(why));
+        if let Some(Active { posted, begun, sent, .. }) = &self.active
+            && let Some(why) = self.calls.over(posted, *begun, now, *sent, online)
+        {
+            if *sent && self.calls.commands(posted) {
+                self.calls.doubt();
             }
+            self.end(Err(why));
         }
-        for _ in 0..=MOST_PARTS {
-            if self.active.is_some() {
-                break;
+        if self.active.is_none()
+            && let Some(posted) = self.calls.next(MOST_PARTS)
+        {
+            self.active = self.begin(now, posted);
+            if self.active.is_none() {
+                self.calls.end(&posted, Err(CallError::Refused(UNREACHABLE)));
             }
-            let Some(posted) = self.port.take() else { break };
-            self.take_up(now, posted);
         }
         let every = if on { EVERY_ON } else { EVERY_OFF };
         self.active.is_some_and(|active| !active.sent) && self.since + 1 >= every
-    }
-
-    fn take_up(&mut self, now: Time, posted: Posted) {
-        let answer = match posted.call.service {
-            LOAD => self.block.load(&posted),
-            SIZE | PART => self.block.answer(&posted),
-            _ => {
-                self.active = self.begin(now, posted);
-                if self.active.is_some() {
-                    return;
-                }
-                None
-            }
-        };
-        self.port.end(&posted, answer.ok_or(CallError::Refused(UNREACHABLE)));
     }
 
     /// A call that needs a request; `None`: it has none.
@@ -153,7 +134,7 @@ impl Calls {
             Service::Read(target) | Service::Write(target, _) => (target, 1),
             Service::ReadSeveral(target, count) => (target, count),
             Service::Store(target, _) => {
-                let (bytes, each) = (self.block.whole(&posted)?.len(), target.width.bytes());
+                let (bytes, each) = (self.calls.loaded(&posted)?.len(), target.width.bytes());
                 if !bytes.is_multiple_of(each) {
                     return None;
                 }
@@ -179,7 +160,7 @@ impl Calls {
                 return Some((unit, Request::Read { address, count: registers }));
             }
             Service::Write(_, raw) => data.push_raw(target.width, raw),
-            Service::Store(..) => data.push_all(self.block.whole(&posted).and_then(Registers::new)?),
+            Service::Store(..) => data.push_all(self.calls.loaded(&posted).and_then(Registers::new)?),
         };
         Some((unit, Request::Write { address, data: data.registers() }))
     }
@@ -189,14 +170,13 @@ impl Calls {
         self.since = if call { 0 } else { self.since.saturating_add(1) };
         if let Some(active) = self.active.as_mut().filter(|_| call) {
             active.sent = true;
-            self.owed = self.port.commands(&active.posted);
         }
     }
 
     /// A call of the application that commands the drive is under way.
     #[inline]
     pub(super) fn commands(&self) -> bool {
-        self.owed || self.active.is_some_and(|active| self.port.commands(&active.posted))
+        self.calls.is_unsettled() || self.active.is_some_and(|active| self.calls.commands(&active.posted))
     }
 
     /// Whether this response can be that of the call that was sent.
@@ -215,14 +195,14 @@ impl Calls {
 
     /// The response to the call that was sent. It may have ended before.
     pub(super) fn answer(&mut self, response: &Response<'_>) {
-        self.owed = false;
+        self.calls.settle();
         let Some(active) = self.active.filter(|active| active.sent) else { return };
         let address = active.posted.call.address;
         let done = |value: u64| Ok(Answer { status: 0, address, value });
         let result = match (*response, active.service) {
             (Response::Exception { code, .. }, _) => Err(CallError::Refused(code.0.into())),
             (Response::Read { data }, Service::ReadSeveral(..)) => {
-                self.block = Kept::of_read(&active.posted, data.bytes().len(), data.bytes());
+                self.calls.keep(&active.posted, data.bytes().len(), data.bytes());
                 done(long::raw(data.bytes()))
             }
             // It has taken those in front of the first one that it refuses.
@@ -242,7 +222,7 @@ impl Calls {
     /// The connection is gone: a sent request may have been carried out, or not. It is over before an enable on the
     /// next connection, whose handshake comes behind it (assumed: the drive answers in the order of arrival).
     pub(super) fn lost(&mut self) {
-        self.owed = false;
+        self.calls.settle();
         if self.active.is_some_and(|active| active.sent) {
             self.end(Err(CallError::TimedOut));
         }
@@ -250,7 +230,7 @@ impl Calls {
 
     fn end(&mut self, result: Result<Answer, CallError>) {
         if let Some(active) = self.active.take() {
-            self.port.end(&active.posted, result);
+            self.calls.end(&active.posted, result);
         }
     }
 }

@@ -4,6 +4,7 @@
 //! |---|---|
 //! | `contract` | [`Bus`]: an open bus on the real-time thread, and what passes between it and the loop |
 //! | `desired` | what the loop wants of a drive, and what shows that the drive has it |
+//! | `calls` | [`Calls`]: the acyclic calls to a drive, as the executor of its wire holds them |
 //! | `counters` | exact counts of a drive's exchanges, and of what belongs to no drive |
 //! | `diagnosis` | why a drive is not online, from these counts |
 //! | `prepared` | [`Prepared`]: what is built and has not left |
@@ -16,6 +17,7 @@
 //! | `reader`, `cia402` | what their wires have in common: values from bytes, the states in a status word |
 //! | `variant` | a bus in a machine that is otherwise like its own |
 
+pub mod calls;
 pub mod cia402;
 pub mod contract;
 pub mod counters;
@@ -32,6 +34,7 @@ pub mod prepared;
 pub mod reader;
 pub mod variant;
 
+pub use self::calls::Calls;
 pub use self::contract::{Bus, Cycle, Earlier, Exchange, LastResort, MOST_EARLIER, Notes, Opened, Slot};
 pub use self::counters::{BusClock, BusNumbers, Counters, OwnCounter, ProtocolCounters, Unmatched};
 pub use self::drives::{DeviceEnds, DriveEnds, Ends};

@@ -127,7 +127,7 @@ impl EthercatBus {
             let observer = Observer::new(reader, Wires::default());
             ends.devices.push(DeviceEnds { native: Box::new(application), acyclic, observer });
             DeviceEnd {
-                service: Service::new(slave, Some(calls.logged(&log)), turn_ns),
+                service: Service::new(slave, calls.logged(&log), turn_ns),
                 reached,
                 port: port.logged(&log),
                 offsets: offsets_of(Owner::Device(index)).1,

@@ -17,7 +17,7 @@ pub struct Active {
     pub(super) by: By,
     pub(super) sdo: Sdo,
     /// It began then, and has to end within this time, ns.
-    begun: Time,
+    pub(super) begun: Time,
     limit_ns: u64,
     /// Its present request is under way since then.
     pub(super) since: Time,
@@ -36,6 +36,11 @@ impl Active {
             By::Call(posted, _) => posted.limit_ns,
         };
         Active { by, sdo, begun: now, limit_ns, since: now, attempts: 1, gone_out: false }
+    }
+
+    /// The call of the application that this is.
+    pub(super) fn call(&self) -> Option<&Posted> {
+        if let By::Call(posted, _) = &self.by { Some(posted) } else { None }
     }
 
     /// Nobody waits for it.

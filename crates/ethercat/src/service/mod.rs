@@ -41,9 +41,8 @@ use super::slot::{Answers, Ask};
 use super::wire::mailbox::{Emergency, Message, counter, is_answer, parse};
 use super::wire::sdo::{AbortCode, Object, Request};
 use fieldbeat_core::axis::Link;
-use fieldbeat_core::axis::acyclic::long::Kept;
-use fieldbeat_core::axis::acyclic::{Answer, Call, CallError, Port, Posted};
-use fieldbeat_core::bus::Counters;
+use fieldbeat_core::axis::acyclic::{Answer, Call, CallError, Port};
+use fieldbeat_core::bus::{Calls, Counters};
 use fieldbeat_core::rt::Regions;
 use fieldbeat_core::time::Time;
 
@@ -51,23 +50,17 @@ use fieldbeat_core::time::Time;
 const ANSWER_TURNS: u64 = 12;
 
 /// The mailbox of one slave.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub struct Service {
     /// Its conversation; `None`: the slave has no mailbox.
     pub mailbox: Option<Mailbox>,
-    port: Option<Port>,
+    calls: Calls,
     open: bool,
     /// A transfer of the master that was not started yet, and how the last one ended.
     waiting: Option<Sdo>,
     end: Option<Result<u32, Failure>>,
     active: Option<Active>,
-    kept: Kept,
-    /// What a series of calls has handed over so far, to be written.
-    loaded: Kept,
     emergencies: Emergencies,
-    /// A call that commands the drive ended without the drive's answer: the drive may still carry it out, until it has
-    /// answered a later request.
-    unsettled: bool,
     /// An answer to an earlier request may come that the next one could be taken to have.
     suspect: bool,
     /// Transfers that were not answered, and repeated ones, not counted yet.
@@ -81,10 +74,23 @@ pub struct Service {
 
 impl Service {
     /// The mailbox of a slave, and the application's calls for it.
-    pub fn new(slave: &SlavePlan, port: Option<Port>, turn_ns: u64) -> Service {
+    pub fn new(slave: &SlavePlan, port: Port, turn_ns: u64) -> Service {
         let answer_ns = slave.sdo_timeout_ns.max(ANSWER_TURNS * turn_ns);
         let mailbox = |areas| Mailbox::new(areas, slave.station(), answer_ns, turn_ns);
-        Service { mailbox: slave.mailbox.and_then(mailbox), port, answer_ns, ..Service::default() }
+        Service {
+            mailbox: slave.mailbox.and_then(mailbox),
+            calls: Calls::new(port, object::NOT_READ, object::NOT_LOADED),
+            open: false,
+            waiting: None,
+            end: None,
+            active: None,
+            emergencies: Emergencies::default(),
+            suspect: false,
+            silent: 0,
+            repeated: 0,
+            lost: 0,
+            answer_ns,
+        }
     }
 
     /// Adds what it touches besides itself, to be locked.
@@ -92,9 +98,7 @@ impl Service {
         if let Some(mailbox) = &self.mailbox {
             mailbox.memory(regions);
         }
-        if let Some(port) = &self.port {
-            port.memory(regions);
-        }
+        self.calls.memory(regions);
     }
 
     /// The mailbox works from now on (PREOP and above), or not any more: the transfer under way ends.
@@ -160,51 +164,35 @@ impl Service {
     /// refused.
     #[inline]
     pub fn advance(&mut self, now: Time, link: Link, guarded: bool) {
-        let mut is_called = false;
-        if let Some(port) = &mut self.port {
-            port.guard(guarded);
-            is_called = !port.is_empty();
-        }
+        self.calls.guard(guarded);
         // Usually there is nothing.
-        if is_called || self.active.is_some() || self.waiting.is_some() || self.unsettled {
+        let is_called = !self.calls.is_empty() || self.calls.is_unsettled();
+        if is_called || self.active.is_some() || self.waiting.is_some() {
             self.go_on(now, link);
         }
     }
 
     /// A call of the application that commands the drive is under way, or may still be carried out.
     pub fn commands(&self) -> bool {
-        self.unsettled || self.active.as_ref().is_some_and(|active| self.is_commanding(active))
-    }
-
-    fn is_commanding(&self, active: &Active) -> bool {
-        self.call_of(active).is_some_and(|(port, posted)| port.commands(posted))
-    }
-
-    /// The call of the application that this is.
-    fn call_of<'a>(&'a self, active: &'a Active) -> Option<(&'a Port, &'a Posted)> {
-        let By::Call(posted, _) = &active.by else { return None };
-        Some((self.port.as_ref()?, posted))
+        let is_commanding = |active: &Active| active.call().is_some_and(|posted| self.calls.commands(posted));
+        self.calls.is_unsettled() || self.active.as_ref().is_some_and(is_commanding)
     }
 
     fn go_on(&mut self, now: Time, link: Link) {
         let is_down = !self.open || matches!(link, Link::Unseen | Link::Lost);
-        if let Some(port) = &mut self.port {
-            match &self.mailbox {
-                None => port.refuse_all(CallError::Refused(object::NO_MAILBOX)),
-                Some(_) if is_down => port.refuse_all(CallError::NotOnline),
-                Some(_) => {}
-            }
+        match &self.mailbox {
+            None => self.calls.refuse_all(CallError::Refused(object::NO_MAILBOX)),
+            Some(_) if is_down => self.calls.refuse_all(CallError::NotOnline),
+            Some(_) => {}
         }
         if let Some(active) = &self.active {
             let is_late = active.is_late(now, self.answer_ns);
-            let call = self.call_of(active);
-            let refusal = call.filter(|_| !active.gone_out).and_then(|(port, posted)| port.refusal(posted));
-            let why = match call {
-                _ if refusal.is_some() => refusal,
-                Some((port, posted)) if port.is_cancelled(posted) => Some(CallError::Cancelled),
-                Some(_) if is_down => Some(CallError::NotOnline),
-                _ if active.is_over(now) => Some(CallError::TimedOut),
-                _ => None,
+            let why = match active.call() {
+                Some(posted) => self
+                    .calls
+                    .over(posted, active.begun, now, active.gone_out, !is_down)
+                    .or(is_down.then_some(CallError::NotOnline)),
+                None => active.is_over(now).then_some(CallError::TimedOut),
             };
             if let Some(why) = why {
                 self.silent += u64::from(why == CallError::TimedOut);
@@ -221,17 +209,16 @@ impl Service {
 
     /// The next transfer: the master's first.
     fn take_up(&mut self, now: Time) {
-        let is_called = self.port.as_ref().is_some_and(|port| !port.is_empty());
-        if self.suspect && (self.waiting.is_some() || is_called) {
+        if self.suspect && (self.waiting.is_some() || !self.calls.is_empty()) {
             return self.start(now, By::Nobody, Sdo::read(DEVICE_TYPE, false));
         }
         if let Some(sdo) = self.waiting.take() {
             return self.start(now, By::Master, sdo);
         }
-        if self.unsettled {
+        if self.calls.is_unsettled() {
             return self.start(now, By::Nobody, Sdo::read(DEVICE_TYPE, false));
         }
-        let Some(posted) = self.port.as_mut().and_then(Port::take) else { return };
+        let Some(posted) = self.calls.next(0) else { return };
         let call = posted.call;
         let sdo = match (call.service, Target::unpack(call.address)) {
             (object::READ, Some(Target { object, kind, complete })) => (Sdo::read(object, complete), kind),
@@ -245,23 +232,15 @@ impl Service {
             (object::STORE, Some(Target { object, kind: Some(kind), complete: false }))
                 if kind.is_string() =>
             {
-                match self.loaded.whole(&posted) {
+                match self.calls.loaded(&posted) {
                     Some(value) => (Sdo::write(object, value), Some(kind)),
-                    None => return self.end_call(&posted, Err(CallError::Refused(object::NOT_LOADED))),
+                    None => return self.calls.end(&posted, Err(CallError::Refused(object::NOT_LOADED))),
                 }
             }
-            (object::LOAD, _) => {
-                let loaded = self.loaded.load(&posted).ok_or(CallError::Refused(object::NOT_LOADED));
-                return self.end_call(&posted, loaded);
-            }
-            (object::SIZE | object::PART, _) => {
-                let part = self.kept.answer(&posted).ok_or(CallError::Refused(object::NOT_READ));
-                return self.end_call(&posted, part);
-            }
-            _ => return self.end_call(&posted, Err(CallError::Refused(object::NO_CALL))),
+            _ => return self.calls.end(&posted, Err(CallError::Refused(object::NO_CALL))),
         };
         if self.mailbox.as_ref().is_some_and(|mailbox| !mailbox.takes(&sdo.0)) {
-            return self.end_call(&posted, Err(CallError::Refused(object::EXPEDITED)));
+            return self.calls.end(&posted, Err(CallError::Refused(object::EXPEDITED)));
         }
         self.start(now, By::Call(posted, sdo.1), sdo.0);
     }
@@ -294,8 +273,8 @@ impl Service {
     /// Its answer was lost, or is late: the transfer begins anew, as often as it may.
     fn repeat(&mut self, now: Time) {
         // Its power may have come on meanwhile.
-        let call = self.active.as_ref().and_then(|active| self.call_of(active));
-        let is_refused = call.is_some_and(|(port, posted)| port.refusal(posted).is_some());
+        let call = self.active.as_ref().and_then(Active::call);
+        let is_refused = call.is_some_and(|posted| self.calls.refusal(posted).is_some());
         let (Some(active), Some(mailbox)) = (&mut self.active, &mut self.mailbox) else { return };
         if mailbox.awaits() && active.attempts < ATTEMPTS && !is_refused {
             let post = if active.sdo.is_begun() { Post::First } else { Post::Again };
@@ -388,7 +367,11 @@ impl Service {
         let Some(active) = self.active.take() else { return };
         let is_answered = matches!(end, Ok(()) | Err(Failure::Abort(_)));
         // It answers in the order of its requests.
-        self.unsettled = !is_answered && (self.unsettled || active.gone_out && self.is_commanding(&active));
+        if is_answered {
+            self.calls.settle();
+        } else if active.gone_out && active.call().is_some_and(|posted| self.calls.commands(posted)) {
+            self.calls.doubt();
+        }
         if let Some(mailbox) = &mut self.mailbox {
             self.suspect = match active.by {
                 // After its answer nothing of before comes.
@@ -412,11 +395,11 @@ impl Service {
                 let Call { service, address, value } = posted.call;
                 let reads = service == object::READ;
                 if reads && end.is_ok() {
-                    self.kept = Kept::of_read(&posted, size, data);
+                    self.calls.keep(&posted, size, data);
                 }
                 let value = if reads { bits(kind, size, data) } else { value };
                 let result = end.map(|()| Answer { status: 0, address, value });
-                self.end_call(
+                self.calls.end(
                     &posted,
                     result.map_err(|failure| match failure {
                         Failure::Abort(AbortCode(status)) | Failure::Unusable(status) => {
@@ -430,17 +413,11 @@ impl Service {
             By::Nobody if matches!(end, Err(TIMED_OUT | Failure::Unusable(_))) => {
                 if self.waiting.take().is_some() {
                     self.end = Some(Err(TIMED_OUT));
-                } else if let Some(posted) = self.port.as_mut().and_then(Port::take) {
-                    self.end_call(&posted, Err(CallError::TimedOut));
+                } else if let Some(posted) = self.calls.take() {
+                    self.calls.end(&posted, Err(CallError::TimedOut));
                 }
             }
             By::Nobody => {}
-        }
-    }
-
-    fn end_call(&mut self, posted: &Posted, result: Result<Answer, CallError>) {
-        if let Some(port) = &mut self.port {
-            port.end(posted, result);
         }
     }
 }

@@ -132,7 +132,7 @@ impl Station {
             profile,
             seen: Seen::default(),
             requests: Requests::new(drive),
-            service: Service::new(&drive.slave, Some(port), turn_ns),
+            service: Service::new(&drive.slave, port, turn_ns),
             al: None,
             sent_grid: Time(0),
             led: false,

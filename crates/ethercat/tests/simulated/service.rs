@@ -11,7 +11,7 @@ use std::time::Duration;
 use self::server::{Server, coe, message};
 use crate::{foreign, only};
 use fieldbeat_core::axis::Link;
-use fieldbeat_core::axis::acyclic::{Acyclic, Call, CallError, CallTicket, Commanding};
+use fieldbeat_core::axis::acyclic::{Acyclic, Call, CallError, CallTicket, Commanding, Port};
 use fieldbeat_core::bus::Counters;
 use fieldbeat_core::rt::Regions;
 use fieldbeat_core::time::{MS, S, Time};
@@ -80,6 +80,11 @@ fn plan(length: u16) -> SlavePlan {
     SlavePlan { mailbox: Some(areas), sdo_timeout_ns: ANSWER_NS, ..SlavePlan::new(0) }
 }
 
+/// A queue that nobody posts to.
+fn no_calls() -> Port {
+    Acyclic::alone(1, Commanding::none(), Arc::new(object::Objects)).1
+}
+
 impl Bench {
     /// One slave with mailboxes of this length, in PREOP.
     fn new(length: u16, application: Box<dyn Application>) -> Bench {
@@ -88,7 +93,7 @@ impl Bench {
         let (acyclic, port) = Acyclic::alone(32, object::commanding([]), Arc::new(object::Objects));
         let mut bench = Bench {
             line: Segment::new(vec![Esc::new(Settings { sii, ..Settings::default() }, application)]),
-            service: Service::new(&plan(length), Some(port), 0),
+            service: Service::new(&plan(length), port, 0),
             acyclic,
             counters: Counters::default(),
             now: Time(S),
@@ -309,7 +314,7 @@ fn an_answer_whose_frame_was_lost_is_asked_for_again() {
 
 #[test]
 fn all_memory_is_reported() {
-    let service = Service::new(&plan(1_024), None, 0);
+    let service = Service::new(&plan(1_024), no_calls(), 0);
     let mut regions = Regions::new();
     service.memory(&mut regions);
     let mut mailbox = service.mailbox;

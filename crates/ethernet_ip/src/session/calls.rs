@@ -9,21 +9,15 @@ use crate::target::{BROKEN, NO_CALL, NOT_LOADED, NOT_READ, Service, Target, VALU
 use crate::wire::cip::{self, Reply, Segment, service};
 use crate::wire::message::{self, Payload, immediate};
 use crate::wire::opcodes;
-use fieldbeat_core::axis::acyclic::long::{self, Kept};
-use fieldbeat_core::axis::acyclic::{Answer, CallError, Port, Posted};
+use fieldbeat_core::axis::acyclic::{Answer, CallError, Port, Posted, long};
+use fieldbeat_core::bus;
 use fieldbeat_core::time::Time;
 
 /// The calls to one drive.
 #[derive(Debug)]
 pub(super) struct Calls {
-    port: Port,
+    calls: bus::Calls,
     active: Option<Active>,
-    /// What the last call of a series has read ...
-    read: Kept,
-    /// ... and what its calls have handed over to be written.
-    loaded: Kept,
-    /// A call that commands the drive was sent, and nothing shows that it is over. Its ticket has ended.
-    owed: bool,
 }
 
 /// The call under way.
@@ -121,20 +115,20 @@ fn own(service: Service) -> Result<Payload, u32> {
 
 impl Calls {
     pub(super) fn new(port: Port) -> Calls {
-        Calls { port, active: None, read: Kept::default(), loaded: Kept::default(), owed: false }
+        Calls { calls: bus::Calls::new(port, NOT_READ, NOT_LOADED), active: None }
     }
 
     /// From now on the calls that command the drive are refused on submission, or not.
     pub(super) fn guard(&mut self, on: bool) {
-        self.port.guard(on);
+        self.calls.guard(on);
     }
 
     /// Ends the call under way if it was cancelled.
     pub(super) fn look(&mut self) {
         if let Some(active) = &mut self.active
-            && let Some(posted) = active.posted.take_if(|posted| self.port.is_cancelled(posted))
+            && let Some(posted) = active.posted.take_if(|posted| self.calls.is_cancelled(posted))
         {
-            self.port.end(&posted, Err(CallError::Cancelled));
+            self.calls.end(&posted, Err(CallError::Cancelled));
         }
         // What was sent stays until its answer: nothing else is mistaken for that.
         self.active.take_if(|active| !active.sent && active.posted.is_none());
@@ -146,28 +140,18 @@ impl Calls {
             self.end(Err(CallError::TimedOut));
         }
         while self.active.is_none() {
-            let Some(posted) = self.port.take() else { break };
-            self.take_up(now, posted);
-        }
-        self.active.as_ref().is_some_and(|active| !active.sent)
-    }
-
-    fn take_up(&mut self, now: Time, posted: Posted) {
-        let here = match Service::of(&posted.call) {
-            Some(Service::Size(_) | Service::Part(..)) => self.read.answer(&posted).ok_or(NOT_READ),
-            Some(Service::Load(..)) => self.loaded.load(&posted).ok_or(NOT_LOADED),
-            service => match Message::of(service, self.loaded.whole(&posted)) {
+            let Some(posted) = self.calls.next(usize::MAX) else { break };
+            match Message::of(Service::of(&posted.call), self.calls.loaded(&posted)) {
                 Ok(message) => {
-                    let (until, commands) = (now + posted.limit_ns, self.port.commands(&posted));
+                    let (until, commands) = (now + posted.limit_ns, self.calls.commands(&posted));
                     let posted = Some(posted);
                     self.active =
                         Some(Active { posted, message, until, sent: false, commands, is_off: false });
-                    return;
                 }
-                Err(status) => Err(status),
-            },
-        };
-        self.port.end(&posted, here.map_err(CallError::Refused));
+                Err(status) => self.calls.end(&posted, Err(CallError::Refused(status))),
+            }
+        }
+        self.active.as_ref().is_some_and(|active| !active.sent)
     }
 
     /// The call that is to be sent commands the drive, and whether that is without power is still open.
@@ -212,7 +196,7 @@ impl Calls {
         if let (service::GET_ATTRIBUTE_SINGLE, Some(posted), Ok(_)) =
             (active.message.service, &active.posted, value)
         {
-            self.read = Kept::of_read(posted, reply.data.len(), reply.data);
+            self.calls.keep(posted, reply.data.len(), reply.data);
         }
         self.over(end, value.map_err(CallError::Refused));
     }
@@ -227,19 +211,21 @@ impl Calls {
 
     /// The call was not answered, and will not be: the drive may have carried it out, or still do so.
     pub(super) fn silent(&mut self) {
-        self.owed |= self.active.as_ref().is_some_and(|active| active.sent && active.commands);
+        if self.active.as_ref().is_some_and(|active| active.sent && active.commands) {
+            self.calls.doubt();
+        }
         self.end(Err(CallError::TimedOut));
     }
 
     /// A call that commands the drive may still be carried out, although nobody waits for it.
     pub(super) fn owes(&self) -> bool {
-        self.owed
+        self.calls.is_unsettled()
     }
 
     /// The drive has answered a later request.
     pub(super) fn settle(&mut self, end: &SessionEnd) {
-        if self.owed {
-            self.owed = false;
+        if self.calls.is_unsettled() {
+            self.calls.settle();
             end.end_commanding();
         }
     }
@@ -250,14 +236,14 @@ impl Calls {
             Some(active) if active.sent => self.silent(),
             _ => self.end(Err(why)),
         }
-        self.port.refuse_all(why);
+        self.calls.refuse_all(why);
     }
 
     /// Ends the call under way before it was sent.
     pub(super) fn end(&mut self, result: Result<u64, CallError>) {
         if let Some(Active { posted: Some(posted), .. }) = self.active.take() {
             let address = posted.call.address;
-            self.port.end(&posted, result.map(|value| Answer { status: 0, address, value }));
+            self.calls.end(&posted, result.map(|value| Answer { status: 0, address, value }));
         }
     }
 }

@@ -6,14 +6,14 @@ use super::super::target::{BROKEN, BROKEN_WRITE, Kind, learned};
 use super::request::Next;
 use super::transfer::Event;
 use super::{Acyclic, Answer, Read, Way, Work};
-use fieldbeat_core::axis::acyclic::long::{Kept, raw};
+use fieldbeat_core::axis::acyclic::long::raw;
 use fieldbeat_core::axis::acyclic::{Answer as CallAnswer, CallError};
 use fieldbeat_core::time::Time;
 
 impl Acyclic {
     /// The MSAC1 request was answered.
     pub(in super::super) fn answered(&mut self, at: Time, answer: Answer<'_>) {
-        let Work { active, transfer, requests, read, .. } = &mut *self.work;
+        let Work { active, transfer, requests, .. } = &mut *self.work;
         let Some(of) = active else { return };
         let perhaps_done = |_: &Work, _| Err(CallError::TimedOut);
         match (of.way, transfer.answered(at, answer)) {
@@ -37,7 +37,7 @@ impl Acyclic {
             (_, Event::Refused(status)) => self.finish_all(Err(status)),
             (Way::Record(_), Event::Done(data)) => {
                 if let ([Some(posted), ..], false) = (&of.calls, of.writes) {
-                    *read = Kept::of_read(posted, data.len(), data);
+                    self.calls.keep(posted, data.len(), data);
                 }
                 self.finish_all(Ok((raw(data), Kind::Own)));
             }
@@ -55,21 +55,21 @@ impl Acyclic {
 
     /// Reads what is still wanted by a request of its own.
     fn request_anew(&mut self) {
-        let Work { active, transfer, requests, loaded, .. } = &mut *self.work;
+        let Work { active, transfer, requests, .. } = &mut *self.work;
         let Some(of) = active else { return };
         if of.calls.iter().all(Option::is_none) {
             *active = None;
             return;
         }
         of.way = Way::Request { response: false };
-        requests.build(&of.calls, of.writes, loaded, transfer);
+        requests.build(&of.calls, of.writes, &self.calls, transfer);
     }
 
     /// The record with the response was read.
     fn respond(&mut self, at: Time, data: &[u8]) {
-        let Work { active, transfer, requests, read, .. } = &mut *self.work;
+        let Work { active, transfer, requests, .. } = &mut *self.work;
         let Some(of) = active else { return };
-        match requests.respond(data, &of.calls, of.writes, read) {
+        match requests.respond(data, &of.calls, of.writes, &mut self.calls) {
             Next::Again => transfer.again(at),
             Next::Further => self.request_anew(),
             Next::Over(result) => self.finish_all(result),
@@ -102,7 +102,7 @@ impl Acyclic {
                 true => CallAnswer { status: 0, address, value: posted.call.value },
                 false => CallAnswer { status: 0, address: learned(address, kind), value: read },
             };
-            self.port.end(posted, result.map(answer));
+            self.calls.end(posted, result.map(answer));
         }
     }
 }

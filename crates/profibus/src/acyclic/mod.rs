@@ -53,8 +53,8 @@ use super::wire::job::{Job, Raw};
 use super::wire::msac1::Record;
 use super::wire::{drivecom, pkw};
 use fieldbeat_core::axis::Link;
-use fieldbeat_core::axis::acyclic::long::{Kept, LOAD, PART, SIZE};
 use fieldbeat_core::axis::acyclic::{CallError, Integer, Port, Posted};
+use fieldbeat_core::bus::Calls;
 use fieldbeat_core::rt::Regions;
 use fieldbeat_core::time::{S, Time};
 
@@ -64,8 +64,8 @@ const EVERY_ON: u32 = 4;
 const EVERY_OFF: u32 = 2;
 /// A request whose calls have ended is given up after so long, ns.
 const LEFT_NS: u64 = 2 * S;
-/// So many calls are taken from the queue in one turn, at most.
-const MOST_TAKEN: usize = 32;
+/// So many calls about the value of a series end in one turn, at most.
+const MOST_PARTS: usize = 32;
 
 /// What a turn of the drive is used for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -82,7 +82,7 @@ type Read = (u64, Kind);
 /// The acyclic access to one drive.
 #[derive(Debug)]
 pub(super) struct Acyclic {
-    port: Port,
+    calls: Calls,
     /// A request is under way, a call waits, or the channel has to be sent.
     is_busy: bool,
     channel: Channel,
@@ -101,9 +101,6 @@ struct Work {
     active: Option<Active>,
     transfer: Transfer,
     requests: Requests,
-    /// What was read last, and what was handed over to be written.
-    read: Kept,
-    loaded: Kept,
 }
 
 /// What a request is.
@@ -160,15 +157,14 @@ impl Acyclic {
             active: None,
             transfer: Transfer::new(),
             requests: Requests::new(path),
-            read: Kept::default(),
-            loaded: Kept::default(),
         };
-        Acyclic { port, is_busy: true, channel: Channel::new(path), work: Box::new(work) }
+        let calls = Calls::new(port, NOT_READ, NOT_LOADED);
+        Acyclic { calls, is_busy: true, channel: Channel::new(path), work: Box::new(work) }
     }
 
     /// Adds what it touches besides itself, to be locked.
     pub(super) fn memory(&self, regions: &mut Regions) {
-        self.port.memory(regions);
+        self.calls.memory(regions);
         regions.add(&*self.work);
     }
 
@@ -176,24 +172,25 @@ impl Acyclic {
     /// knows. Checked in each turn, so that nothing else is.
     #[inline]
     pub(super) fn is_idle(&self) -> bool {
-        !self.is_busy && self.port.is_empty()
+        !self.is_busy && self.calls.is_empty()
     }
 
     /// Takes the next call, and ends those that are over. `guarded`: calls that command the drive are refused.
     /// `exchanges`: the drive is in Data_Exchange.
     pub(super) fn advance(&mut self, now: Time, link: Link, exchanges: bool, guarded: bool) {
-        self.port.guard(guarded);
+        self.calls.guard(guarded);
         let online = exchanges && !matches!(link, Link::Unseen | Link::Lost);
         if !online {
-            self.port.refuse_all(CallError::NotOnline);
+            self.calls.refuse_all(CallError::NotOnline);
         }
         self.look(now, online);
-        for _ in 0..MOST_TAKEN {
-            if self.work.active.is_some() {
-                break;
+        if self.work.active.is_none()
+            && let Some(posted) = self.calls.next(MOST_PARTS)
+        {
+            match self.way(&posted) {
+                Ok(way) => self.begin(now, way, posted),
+                Err(status) => self.calls.end(&posted, Err(CallError::Refused(status))),
             }
-            let Some(posted) = self.port.take() else { break };
-            self.take_up(now, posted);
         }
         let Work { active, transfer, since, is_open, .. } = &mut *self.work;
         if let Some(Active { way: Way::Channel(job), .. }) = active {
@@ -206,22 +203,17 @@ impl Acyclic {
 
     /// Ends the calls under way that are over.
     fn look(&mut self, now: Time, online: bool) {
-        let Work { active, transfer, requests, loaded, .. } = &mut *self.work;
+        let Work { active, transfer, requests, .. } = &mut *self.work;
         let Some(of) = active else { return };
         let is_sent = of.is_sent(transfer);
         let mut changed = false;
         for place in &mut of.calls {
             let Some(posted) = place else { continue };
-            let over = match () {
-                () if now.since(of.begun) > posted.limit_ns => Some(CallError::TimedOut),
-                () if self.port.is_cancelled(posted) => Some(CallError::Cancelled),
-                // A read changes nothing, whatever the drive has received of it.
-                () if !(online || is_sent && of.writes) => Some(CallError::NotOnline),
-                () if is_sent => None,
-                () => self.port.refusal(posted),
-            };
-            if let Some(why) = over {
-                self.port.end(posted, Err(why));
+            // A read changes nothing, whatever the drive has received of it.
+            let is_lost = !online && !of.writes;
+            let over = self.calls.over(posted, of.begun, now, is_sent, online);
+            if let Some(why) = over.or(is_lost.then_some(CallError::NotOnline)) {
+                self.calls.end(posted, Err(why));
                 (*place, changed) = (None, true);
             }
         }
@@ -237,26 +229,14 @@ impl Acyclic {
             }
         } else if changed && !is_sent && matches!(of.way, Way::Request { .. }) {
             // Nothing of those that have ended is sent.
-            requests.build(&of.calls, of.writes, loaded, transfer);
-            of.commands = of.calls.iter().flatten().any(|posted| self.port.commands(posted));
+            requests.build(&of.calls, of.writes, &self.calls, transfer);
+            of.commands = of.calls.iter().flatten().any(|posted| self.calls.commands(posted));
         }
-    }
-
-    fn take_up(&mut self, now: Time, posted: Posted) {
-        let here = match posted.call.service {
-            SIZE | PART => self.work.read.answer(&posted).ok_or(NOT_READ),
-            LOAD => self.work.loaded.load(&posted).ok_or(NOT_LOADED),
-            _ => match self.way(&posted) {
-                Ok(way) => return self.begin(now, way, posted),
-                Err(status) => Err(status),
-            },
-        };
-        self.port.end(&posted, here.map_err(CallError::Refused));
     }
 
     /// How a call is carried out; an error is its status.
     fn way(&mut self, posted: &Posted) -> Result<Way, u32> {
-        let Work { path, has_dpv1, transfer, requests, loaded, .. } = &mut *self.work;
+        let Work { path, has_dpv1, transfer, requests, .. } = &mut *self.work;
         let service = Service::of(&posted.call).ok_or(NO_CALL)?;
         let msac1 = || if *has_dpv1 { Ok(()) } else { Err(NO_DPV1) };
         let parameter = match (service, service.target()) {
@@ -268,7 +248,7 @@ impl Acyclic {
             }
             (Service::Store(..), Target::Record(record)) => {
                 msac1()?;
-                let bytes = loaded.whole(posted).ok_or(NOT_LOADED)?;
+                let bytes = self.calls.loaded(posted).ok_or(NOT_LOADED)?;
                 let fits = transfer.write(record, |out| out.bytes(bytes));
                 return if fits { Ok(Way::Record(record)) } else { Err(NOT_LOADED) };
             }
@@ -283,7 +263,7 @@ impl Acyclic {
                 msac1()?;
                 match service {
                     _ if !requests.reaches(parameter) => Err(UNREACHABLE),
-                    Service::Store(..) if loaded.whole(posted).is_none() => Err(NOT_LOADED),
+                    Service::Store(..) if self.calls.loaded(posted).is_none() => Err(NOT_LOADED),
                     _ => Ok(Way::Request { response: false }),
                 }
             }
@@ -301,7 +281,7 @@ impl Acyclic {
         let mut of = Active {
             way,
             writes: Service::of(&posted.call).is_some_and(Service::writes),
-            commands: self.port.commands(&posted),
+            commands: self.calls.commands(&posted),
             is_out: false,
             begun: now,
             left: None,
@@ -309,15 +289,15 @@ impl Acyclic {
         };
         of.calls[0] = Some(posted);
         if matches!(way, Way::Request { .. }) {
-            let Acyclic { port, work, .. } = self;
-            let Work { transfer, requests, loaded, .. } = &mut **work;
+            let Acyclic { calls, work, .. } = self;
+            let Work { transfer, requests, .. } = &mut **work;
             for place in of.calls.iter_mut().skip(1) {
-                *place = port.take_if(|other| requests.joins(&posted, other));
+                *place = calls.take_if(|other| requests.joins(&posted, other));
                 let Some(posted) = place else { break };
-                of.commands |= port.commands(posted);
+                of.commands |= calls.commands(posted);
             }
             requests.begin(&posted);
-            requests.build(&of.calls, of.writes, loaded, transfer);
+            requests.build(&of.calls, of.writes, calls, transfer);
         }
         self.work.active = Some(of);
     }

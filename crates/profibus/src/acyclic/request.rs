@@ -10,7 +10,8 @@ use super::super::wire::msac1::Record;
 use super::Read;
 use super::transfer::Transfer;
 use fieldbeat_core::axis::acyclic::Posted;
-use fieldbeat_core::axis::acyclic::long::{Kept, MOST, raw};
+use fieldbeat_core::axis::acyclic::long::{MOST, raw};
+use fieldbeat_core::bus::Calls;
 
 /// The most parameters of a request. 39 would fit into a response (sheet, 3); a turn has bounded work.
 pub(super) const BATCH: usize = 16;
@@ -96,12 +97,12 @@ impl Requests {
     }
 
     /// Makes the request of those calls that have not ended, with a number of its own. A text is written as it was
-    /// `loaded`.
+    /// handed over.
     pub(super) fn build(
         &mut self,
         calls: &[Option<Posted>; BATCH],
         write: bool,
-        loaded: &Kept,
+        kept: &Calls,
         transfer: &mut Transfer,
     ) {
         self.reference = self.reference.checked_add(1).unwrap_or(1);
@@ -128,7 +129,7 @@ impl Requests {
                 let value = if let Service::Write(_, raw) = service { raw } else { 0 }.to_be_bytes();
                 let bytes = match kind.integer() {
                     Some(integer) => value.get(4 - integer.bits as usize / 8..),
-                    None => loaded.whole(posted),
+                    None => kept.loaded(posted),
                 };
                 Values { format: kind.into(), bytes: bytes.unwrap_or_default() }.put(out);
             }
@@ -145,13 +146,13 @@ impl Requests {
         self.results.get(place).map_or(Err(BROKEN), |result| result.map(|(raw, kind)| (raw.into(), kind)))
     }
 
-    /// A response. A text is kept in `read`.
+    /// A response. A text is kept for the calls behind it.
     pub(super) fn respond(
         &mut self,
         bytes: &[u8],
         calls: &[Option<Posted>],
         write: bool,
-        read: &mut Kept,
+        kept: &mut Calls,
     ) -> Next {
         if bytes.first().is_some_and(|reference| *reference != self.reference) {
             return Next::Again;
@@ -164,7 +165,7 @@ impl Requests {
         let mut outcomes = response.outcomes();
         if self.text.is_some() {
             let outcome = outcomes.next();
-            return outcome.map_or(Next::Over(Err(BROKEN)), |outcome| self.text(outcome, calls, read));
+            return outcome.map_or(Next::Over(Err(BROKEN)), |outcome| self.text(outcome, calls, kept));
         }
         let asked = self.asked;
         let places = self.results.iter_mut().enumerate().filter(|(place, _)| asked >> place & 1 != 0);
@@ -185,7 +186,7 @@ impl Requests {
     }
 
     /// A text, or a part of it.
-    fn text(&mut self, outcome: Outcome<'_>, calls: &[Option<Posted>], read: &mut Kept) -> Next {
+    fn text(&mut self, outcome: Outcome<'_>, calls: &[Option<Posted>], kept: &mut Calls) -> Next {
         let Some(text) = &mut self.text else { return Next::Over(Err(BROKEN)) };
         if let Outcome::Read(Values { format, .. }) = outcome
             && format.size() != Some(1)
@@ -215,7 +216,7 @@ impl Requests {
             Outcome::Written => return Next::Over(Err(BROKEN)),
         };
         if let Some(posted) = calls.first().and_then(Option::as_ref) {
-            *read = Kept::of_read(posted, whole, bytes);
+            kept.keep(posted, whole, bytes);
         }
         Next::Over(Ok((raw(bytes), Kind::Own)))
     }

@@ -146,6 +146,7 @@ mod tests {
     use crate::image::Offsets;
     use crate::plan::{Area, Owner, SlavePlan};
     use crate::wire::sdo::Object;
+    use fieldbeat_core::axis::acyclic::{self, Commanding};
 
     #[test]
     fn an_object_that_is_not_answered_is_named_and_the_slave_stays_in_preop() {
@@ -154,7 +155,8 @@ mod tests {
         let start_up = vec![Start::new(object, Type::U16, 0x1702)];
         let plan = SlavePlan { mailbox, start_up, ..SlavePlan::new(0) };
         // One that is not open ends each transfer without an answer.
-        let mut service = Service::new(&plan, None, 0);
+        let (_, port) = acyclic::queue(1, Commanding::none());
+        let mut service = Service::new(&plan, port, 0);
         let owner = Owner::Device(0);
         let mut slave = Slave::new(owner, &plan, Offsets::default(), true);
         let now = Time(0);

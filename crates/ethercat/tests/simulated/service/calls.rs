@@ -197,7 +197,7 @@ fn a_write_that_nobody_waits_for_is_under_way_until_a_later_request_is_answered(
 #[test]
 fn without_a_mailbox_or_with_a_closed_one_all_is_refused_at_once() {
     let (acyclic, port) = Acyclic::alone(4, Commanding::none(), Arc::new(object::Objects));
-    let mut none = Service::new(&SlavePlan::new(0), Some(port), 0);
+    let mut none = Service::new(&SlavePlan::new(0), port, 0);
     none.open(true);
     none.read(MODE);
     assert_eq!(none.take_end(), Some(Err(Failure::GivenUp(CallError::NotOnline))));

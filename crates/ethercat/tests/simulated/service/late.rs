@@ -201,7 +201,7 @@ fn a_mailbox_that_is_full_is_waited_for_as_long_as_the_slave_may_take() {
         (Some(600 * MS), Err(Failure::GivenUp(CallError::TimedOut))),
         (None, Err(Failure::Unusable(object::FULL))),
     ] {
-        let (mut full, mut counters) = (Service::new(&plan(16), None, 0), Counters::default());
+        let (mut full, mut counters) = (Service::new(&plan(16), no_calls(), 0), Counters::default());
         full.open(true);
         full.read(MODE);
         let answer = |working_counter, data| Some(slot::Answer { working_counter, data });
