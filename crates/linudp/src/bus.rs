@@ -41,8 +41,6 @@ struct LinUdpBus {
     stations: Vec<Station>,
     senders: Senders,
     unmatched: Unmatched,
-    /// Exchanges of earlier cycles may be owed.
-    has_earlier: bool,
     /// The orderly end has begun: no more requests.
     is_ending: bool,
     /// The drives are this master's until the socket is closed.
@@ -84,7 +82,6 @@ impl LinUdpBus {
             stations,
             senders: Senders::new(&peers),
             unmatched: Unmatched::default(),
-            has_earlier: false,
             is_ending: false,
             _locks: locks,
         };
@@ -209,7 +206,6 @@ impl Bus for LinUdpBus {
         // A system call in each cycle, although usually nothing waits: a copy of an old reply that has come since the
         // last window would pass for the next reply, if the definitions of both are the same.
         self.take_in(false, slots);
-        let mut has_earlier = false;
         for (index, (station, slot)) in self.stations.iter_mut().zip(slots.iter_mut()).enumerate() {
             let goes = slot.due && !self.is_ending;
             if goes && station.is_void() {
@@ -220,14 +216,12 @@ impl Bus for LinUdpBus {
             if matches!(slot.exchange, Exchange::Owed { .. }) {
                 station.owe(slot);
             }
-            has_earlier |= slot.has_earlier;
         }
-        self.has_earlier = has_earlier;
         self.net.send(&mut self.outbox);
         for (index, (station, slot)) in self.stations.iter_mut().zip(slots).enumerate() {
             match self.outbox.sent(index) {
                 Sent::At(at) => station.sent(at, cycle, slot),
-                Sent::Failed(_) | Sent::Posted => station.unsent(slot),
+                Sent::Failed(_) | Sent::Posted => slot.unsent(),
                 Sent::Idle => {}
             }
         }
@@ -235,14 +229,6 @@ impl Bus for LinUdpBus {
 
     fn receive(&mut self, _cycle: &Cycle, slots: &mut [Slot]) {
         self.take_in(true, slots);
-    }
-
-    fn waited_for(&self, cycle: &Cycle, slots: &[Slot]) -> usize {
-        let waited_for = slots.iter().filter(|slot| slot.exchange.is_waited_for(cycle)).count();
-        match self.has_earlier {
-            false => waited_for,
-            true => waited_for + slots.iter().map(|slot| slot.earlier.waited_for(cycle)).sum::<usize>(),
-        }
     }
 
     fn prepare(&mut self, cycle: &Cycle, slots: &mut [Slot]) {

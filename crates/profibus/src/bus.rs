@@ -209,11 +209,6 @@ impl Bus for ProfibusBus {
         if self.intervals.is_empty() { Some(at) } else { Some(at.max(self.next_turn_at())) }
     }
 
-    fn waited_for(&self, cycle: &Cycle, slots: &[Slot]) -> usize {
-        let waits = self.line.waits_for().and_then(|index| slots.get(usize::from(index)));
-        usize::from(waits.is_some_and(|slot| slot.exchange.is_waited_for(cycle)))
-    }
-
     fn poll(&mut self, cycle: &Cycle, now: Time, slots: &mut [Slot]) {
         self.look(slots);
         self.go_on(cycle, now, slots);

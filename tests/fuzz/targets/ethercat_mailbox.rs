@@ -10,6 +10,7 @@ use std::collections::VecDeque;
 use fieldbeat::axis::Link;
 use fieldbeat::bus::ethercat::{Area, Object, SlavePlan};
 use fieldbeat::time::{MS, Time};
+use fieldbeat_core::axis::acyclic::{self, Commanding};
 use fieldbeat_core::bus::Counters;
 use fieldbeat_ethercat::service::Service;
 use fieldbeat_ethercat::slot::{Answer, Ask};
@@ -191,7 +192,8 @@ pub fn ethercat_mailbox(data: &[u8]) {
     let (resends, acknowledges) = input.of(&[(true, true), (false, true), (false, false)]);
     let areas = [Area { start: OUT, length }, Area { start: IN, length }];
     let plan = SlavePlan { mailbox: Some(areas), sdo_timeout_ns: ANSWER_NS, ..SlavePlan::new(0) };
-    let mut service = Service::new(&plan, None, 0);
+    let (_, port) = acyclic::queue(1, Commanding::none());
+    let mut service = Service::new(&plan, port, 0);
     service.open(true);
     let mut slave = Slave {
         length: length.into(),

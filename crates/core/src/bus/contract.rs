@@ -86,11 +86,6 @@ pub trait Bus: Send {
     /// later than `now`, or none.
     fn poll(&mut self, _cycle: &Cycle, _now: Time, _slots: &mut [Slot]) {}
 
-    /// How many exchanges the window of `cycle` [waits for](Exchange::is_waited_for).
-    fn waited_for(&self, cycle: &Cycle, slots: &[Slot]) -> usize {
-        slots.iter().filter(|slot| slot.exchange.is_waited_for(cycle)).count()
-    }
-
     /// Builds the requests of the slots that are due at the next send, and of those that are queued, in place, from
     /// what is now desired in them. May be called more than once for the same send, with the same bytes as the result,
     /// and again for a later slot if the first was passed over. What was replaced before its request left is never
@@ -275,6 +270,13 @@ pub struct Slot {
 }
 
 impl Slot {
+    /// For how many of its exchanges the window of `cycle` [waits](Exchange::is_waited_for).
+    #[inline]
+    pub fn waited_for(&self, cycle: &Cycle) -> usize {
+        let earlier = if self.has_earlier { self.earlier.waited_for(cycle) } else { 0 };
+        usize::from(self.exchange.is_waited_for(cycle)) + earlier
+    }
+
     /// Opens the exchange of a request that was sent.
     #[inline]
     pub fn owe(&mut self, sent_at: Time, reply_by: Time, awaited: bool) {

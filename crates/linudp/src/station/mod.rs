@@ -232,8 +232,7 @@ impl Station {
         if self.probing {
             self.probes = (self.probes + 1) % FULL_PROBE_EVERY;
         }
-        slot.counters.sent += 1;
-        slot.exchange = Exchange::Owed { sent_at, reply_by, awaited: true };
+        slot.owe(sent_at, reply_by, true);
         self.profile.sent(&mut self.native);
         slot.gone.grid = Some(self.grid);
         self.other.sent();
@@ -250,12 +249,6 @@ impl Station {
             slot.earlier.owe(sent_at, reply_by);
             (slot.exchange, slot.has_earlier) = (Exchange::Idle, true);
         }
-    }
-
-    /// The operating system refused to send the request.
-    pub fn unsent(&mut self, slot: &mut Slot) {
-        slot.counters.unsent += 1;
-        slot.exchange = Exchange::Unsent;
     }
 
     /// A datagram from the drive came in. `in_window` is false for datagrams that were in the socket before the
