@@ -31,18 +31,26 @@ pub(super) struct MotionChannel {
     command: Option<MotionCommand>,
     /// The command is to be repeated until its echo comes.
     pending: bool,
-    /// A request with it has gone out.
-    sent: bool,
-    /// A clean reply had its echo: the drive has taken the command, and may have replaced it since.
-    echoed: bool,
+    stage: Stage,
     /// Clean replies without it since the last one with it, or since it was sent with this count.
     answers: u32,
-    /// The drive may have run another command of this master since the echo.
-    repeats: bool,
     /// Counts that were not taken, and echoes that did not come twice in a row.
     tries: u32,
     /// A reply to a request without the command had its count: the drive has stored that before, and would ignore it.
     clashes: bool,
+}
+
+/// How far the command is.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+enum Stage {
+    /// No request with it has gone out.
+    #[default]
+    Waiting,
+    Sent,
+    /// A clean reply had its echo: the drive has taken the command, and may have replaced it since.
+    Echoed,
+    /// The drive may have run another command of this master since the echo.
+    Doubted,
 }
 
 impl MotionChannel {
@@ -71,25 +79,30 @@ impl MotionChannel {
 
     /// The request with the block has gone out.
     pub(super) fn sent(&mut self) {
-        self.sent = self.command.is_some();
+        if self.command.is_some() && self.stage == Stage::Waiting {
+            self.stage = Stage::Sent;
+        }
     }
 
     /// The count of the command in the last request that went out, if it had one.
     pub(super) fn sent_count(&self) -> Option<u8> {
-        self.count.filter(|_| self.sent)
+        self.count.filter(|_| self.stage != Stage::Waiting)
     }
 
     /// Before the next request is built: a count that the drive has stored is replaced.
     pub(super) fn avoid_clash(&mut self) {
         if std::mem::take(&mut self.clashes) {
-            let next = self.next_count().count;
-            (self.count, self.sent, self.echoed, self.answers, self.repeats) = (next, false, false, 0, false);
+            (self.count, self.stage, self.answers) = (self.next_count().count, Stage::Waiting, 0);
         }
     }
 
     /// The last clean reply had the echo of the command.
     pub(super) fn is_accepted(&self) -> bool {
-        self.echoed && self.answers == 0
+        self.stage == Stage::Echoed && self.answers == 0
+    }
+
+    fn is_echoed(&self) -> bool {
+        matches!(self.stage, Stage::Echoed | Stage::Doubted)
     }
 
     /// Takes the echo of a reply, `clean` if it can be no older one, `foreign` if this master has not used it lately.
@@ -104,7 +117,7 @@ impl MotionChannel {
             }
             return Ok(());
         };
-        if !self.sent {
+        if self.stage == Stage::Waiting {
             // The drive has the chosen count already, and would ignore the command.
             if self.count == Some(echo) {
                 self.count = self.next_count().count;
@@ -113,12 +126,14 @@ impl MotionChannel {
             if self.is_accepted() {
                 self.tries = 0;
             }
-            (self.echoed, self.answers, self.repeats) = (true, 0, false);
+            (self.stage, self.answers) = (Stage::Echoed, 0);
         } else if self.pending && clean {
             // Another master's command is answered by no motion: whether it is one, the next replies show.
-            let doubted = self.echoed && (!foreign || command.is_stop());
+            let doubted = self.is_echoed() && (!foreign || command.is_stop());
             let lost = doubted && self.is_accepted();
-            self.repeats |= doubted;
+            if doubted {
+                self.stage = Stage::Doubted;
+            }
             self.answers += 1;
             let ignored = self.answers > ECHO_WITHIN;
             if lost || ignored {
@@ -146,11 +161,11 @@ impl MotionChannel {
         clean: bool,
         foreign: bool,
     ) -> Result<(), Failure> {
-        if self.command.is_none() || self.sent && carried == self.count {
+        if self.command.is_none() || self.stage != Stage::Waiting && carried == self.count {
             return self.take(echo, clean, foreign);
         }
         self.reported = Some(echo);
-        self.clashes |= self.count == Some(echo) && !self.echoed;
+        self.clashes |= self.count == Some(echo) && !self.is_echoed();
         Ok(())
     }
 
@@ -163,7 +178,7 @@ impl MotionChannel {
     /// The block of the next request.
     pub(super) fn block(&self) -> Option<MotionBlock> {
         self.command
-            .filter(|_| !self.echoed || self.repeats)
+            .filter(|_| self.stage != Stage::Echoed)
             .map(|command| command.block(self.count.unwrap_or(0)))
     }
 }
