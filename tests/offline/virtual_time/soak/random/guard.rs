@@ -161,7 +161,9 @@ impl Guard {
     ) -> Result<(), Breach> {
         let rises = truth.powered && !std::mem::replace(&mut self.powered, truth.powered);
         let is_moving = truth.powered && truth.velocity.abs() > self.scale.still;
-        self.enabled |= rises && feedback.status.state != State::Fault;
+        // The power of a drive that was found running, or rising, is that of the process before.
+        let is_found = feedback.stopped == Some(StopCause::FoundRunning);
+        self.enabled = !is_found && (self.enabled || rises && feedback.status.state != State::Fault);
         if rises && !self.is_to_move && !pushed {
             return Err(("enabled", format!("{truth:?}; {feedback:?}")));
         }

@@ -64,6 +64,14 @@ fn of_seed(seed: u64) -> campaign::Judged<Tally> {
     (tally, judged.map_err(|found| report(&sequence, found)))
 }
 
+/// The process before was killed right behind its enable: the drive switches on under the next one.
+#[test]
+fn a_drive_that_was_found_while_it_switched_on_is_held_by_its_stop_until_the_master_ends() {
+    for seed in [175_248_401_013, 175_248_404_818, 175_248_404_840] {
+        of_seed(seed).1.unwrap_or_else(|why| panic!("{seed}: {why}"));
+    }
+}
+
 /// The STO opens at a drive that is found running: all others of its group were stopped already, for the tolerated
 /// reason.
 #[test]
