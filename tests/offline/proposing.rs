@@ -120,6 +120,7 @@ impl Bus for Proposing {
         fn receive(&mut self, cycle: &Cycle, slots: &mut [Slot]);
         fn poll_at(&self) -> Option<Time>;
         fn poll(&mut self, cycle: &Cycle, now: Time, slots: &mut [Slot]);
+        fn waited_for(&self, cycle: &Cycle, slots: &[Slot]) -> usize;
         fn shut_down(&mut self, cycle: &Cycle, slots: &mut [Slot]) -> bool;
         fn numbers(&self) -> BusNumbers;
         fn native_bytes(&self, index: usize, since: Time, outputs: WantedOutputs, bytes: &mut NativeBytes)

@@ -209,6 +209,11 @@ impl Bus for ProfibusBus {
         if self.intervals.is_empty() { Some(at) } else { Some(at.max(self.next_turn_at())) }
     }
 
+    fn waited_for(&self, cycle: &Cycle, slots: &[Slot]) -> usize {
+        let waits = self.line.waits_for().and_then(|index| slots.get(usize::from(index)));
+        waits.map_or(0, |slot| slot.waited_for(cycle))
+    }
+
     fn poll(&mut self, cycle: &Cycle, now: Time, slots: &mut [Slot]) {
         self.look(slots);
         self.go_on(cycle, now, slots);

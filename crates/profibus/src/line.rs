@@ -246,6 +246,15 @@ impl Line {
         self.timing.state == State::Free
     }
 
+    /// Whose answer is waited for.
+    #[inline]
+    pub(super) fn waits_for(&self) -> Option<u8> {
+        match self.job {
+            Job::Drive(index) if self.timing.state != State::Free => Some(index),
+            _ => None,
+        }
+    }
+
     /// When it wants to be looked at again; `waits`: a telegram waits to be sent.
     #[inline]
     pub(super) fn look_at(&self, waits: bool) -> Option<Time> {

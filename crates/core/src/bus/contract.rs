@@ -86,6 +86,12 @@ pub trait Bus: Send {
     /// later than `now`, or none.
     fn poll(&mut self, _cycle: &Cycle, _now: Time, _slots: &mut [Slot]) {}
 
+    /// For how many exchanges the window of `cycle` [waits](Slot::waited_for). One that knows which it is need not look
+    /// at all slots: on a half-duplex wire this is queried after each telegram.
+    fn waited_for(&self, cycle: &Cycle, slots: &[Slot]) -> usize {
+        slots.iter().map(|slot| slot.waited_for(cycle)).sum()
+    }
+
     /// Builds the requests of the slots that are due at the next send, and of those that are queued, in place, from
     /// what is now desired in them. May be called more than once for the same send, with the same bytes as the result,
     /// and again for a later slot if the first was passed over. What was replaced before its request left is never

@@ -136,7 +136,7 @@ impl OpenBus {
         let slots = &slots[self.first..self.end];
         match self.is_one_frame {
             true => usize::from(slots.iter().any(|slot| slot.exchange.is_waited_for(cycle))),
-            false => slots.iter().map(|slot| slot.waited_for(cycle)).sum(),
+            false => self.bus.waited_for(cycle, slots),
         }
     }
 

@@ -51,6 +51,8 @@ enum State {
     Injected(Injection),
     /// Stopped, and left alone until that cycle.
     Resting(u64),
+    /// Its fault went away: what was lost before is missed once its reply is overdue, by that cycle.
+    Mended(u64),
 }
 
 /// What the in-loop task shall do next, and when it did.
@@ -251,7 +253,9 @@ impl Machine {
         }
         assert_eq!(self.tap.lost(), 0);
         for (axis, event) in std::mem::take(&mut self.b.events) {
-            let faulty = |lane: &Lane| matches!(lane.state, State::Injected(_)) && lane.axes.contains(&axis);
+            let faulty = |lane: &Lane| {
+                matches!(lane.state, State::Injected(_) | State::Mended(_)) && lane.axes.contains(&axis)
+            };
             let expected = self.all || self.lanes.iter().any(faulty);
             let watch = &mut self.watches[axis];
             match event.kind {
@@ -308,9 +312,13 @@ impl Machine {
                     false => State::Injected(injection),
                 },
                 State::Resting(until) if self.now() >= until => {
-                    axes.into_iter().for_each(|axis| self.mend(axis));
-                    State::Clearing
+                    axes.iter().for_each(|axis| self.mend(*axis));
+                    let overdue = axes
+                        .iter()
+                        .map(|axis| u64::from(self.b.drives[*axis].replies_within()) * self.divisor(*axis));
+                    State::Mended(self.now() + overdue.max().unwrap_or(0))
                 }
+                State::Mended(until) if self.now() > until => State::Clearing,
                 state => state,
             };
         }
