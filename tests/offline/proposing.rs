@@ -9,7 +9,7 @@ use fieldbeat::bus::BusPlan;
 use fieldbeat::{Cycle, OpenError, Time};
 use fieldbeat_core::bus::counters::BusNumbers;
 use fieldbeat_core::bus::desired::{Desired, Intent, Mode, Motion, Power};
-use fieldbeat_core::bus::native::{NativeBytes, WantedOutputs};
+use fieldbeat_core::bus::native::NativeData;
 use fieldbeat_core::bus::{Bus, Opened, Slot};
 use fieldbeat_core::net::Carriers;
 use fieldbeat_core::rt::Regions;
@@ -123,8 +123,7 @@ impl Bus for Proposing {
         fn waited_for(&self, cycle: &Cycle, slots: &[Slot]) -> usize;
         fn shut_down(&mut self, cycle: &Cycle, slots: &mut [Slot]) -> bool;
         fn numbers(&self) -> BusNumbers;
-        fn native_bytes(&self, index: usize, since: Time, outputs: WantedOutputs, bytes: &mut NativeBytes)
-            -> Option<Time>;
+        fn native(&self, index: usize) -> Option<NativeData<'_>>;
         fn helper_ended(&self) -> bool;
         fn lead(&mut self);
         fn phase_error(&mut self) -> Option<i64>;

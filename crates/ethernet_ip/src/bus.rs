@@ -11,14 +11,13 @@ use super::station::{ROOM, Station};
 use super::target::commanding;
 use super::wire::io::{Outgoing, Packet, PacketError};
 use fieldbeat_core::axis::acyclic;
-use fieldbeat_core::bus::native::{NativeBytes, WantedOutputs};
+use fieldbeat_core::bus::native::NativeData;
 use fieldbeat_core::bus::{Bus, BusNumbers, Cycle, Ends, Notes, OpenError, Opened, Slot, Unmatched, drives};
 use fieldbeat_core::errors::no_descriptor;
 use fieldbeat_core::net::{
     Carriers, Datagrams, LinkNotes, Lock, Outbox, Sent, StreamPeer, Streams, UdpOptions,
 };
 use fieldbeat_core::rt::Regions;
-use fieldbeat_core::time::Time;
 
 /// The most batches taken from the socket in one call: what does not fit waits for the next one, so that a flood of
 /// datagrams never delays the cycle.
@@ -263,16 +262,9 @@ impl Bus for EthernetIpBus {
         }
     }
 
-    fn native_bytes(
-        &self,
-        index: usize,
-        since: Time,
-        outputs: WantedOutputs,
-        bytes: &mut NativeBytes,
-    ) -> Option<Time> {
-        bytes.clear();
-        let received_at = self.stations.get(index)?.native().inputs(since, bytes);
-        bytes.put_outputs(outputs, received_at, || Outgoing::outputs(self.outbox.bytes(index)))
+    fn native(&self, index: usize) -> Option<NativeData<'_>> {
+        let outputs = Outgoing::outputs(self.outbox.bytes(index)).unwrap_or_default();
+        Some((self.stations.get(index)?.native(), outputs))
     }
 
     fn shut_down(&mut self, cycle: &Cycle, slots: &mut [Slot]) -> bool {

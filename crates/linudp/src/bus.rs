@@ -14,7 +14,7 @@ use super::station::{SerialNote, Station};
 use super::wire::{ErrorCode, REQUEST_MAX, RESPONSE_MAX, SHORTEST};
 use fieldbeat_core::axis::{AxisPlan, FoundRunning, PlanFault};
 use fieldbeat_core::bus::load::{Load, Medium, Way};
-use fieldbeat_core::bus::native::{NativeBytes, NativeLayout, WantedOutputs};
+use fieldbeat_core::bus::native::{NativeData, NativeLayout};
 use fieldbeat_core::bus::notes::NoteCells;
 use fieldbeat_core::bus::variant::Variant;
 use fieldbeat_core::bus::{
@@ -24,7 +24,6 @@ use fieldbeat_core::bus::{
 use fieldbeat_core::errors::no_descriptor;
 use fieldbeat_core::net::{Carriers, Datagrams, Lock, Outbox, Sent, UdpOptions};
 use fieldbeat_core::rt::Regions;
-use fieldbeat_core::time::Time;
 
 /// Room for one datagram: the longest telegram is 50 bytes, padding makes it 64 at most, and anything longer is not
 /// a telegram of this protocol.
@@ -240,16 +239,8 @@ impl Bus for LinUdpBus {
         }
     }
 
-    fn native_bytes(
-        &self,
-        index: usize,
-        since: Time,
-        outputs: WantedOutputs,
-        bytes: &mut NativeBytes,
-    ) -> Option<Time> {
-        bytes.clear();
-        let received_at = self.stations.get(index)?.native().inputs(since, bytes);
-        bytes.put_outputs(outputs, received_at, || Some(self.outbox.bytes(index)))
+    fn native(&self, index: usize) -> Option<NativeData<'_>> {
+        Some((self.stations.get(index)?.native(), self.outbox.bytes(index)))
     }
 
     fn shut_down(&mut self, _cycle: &Cycle, slots: &mut [Slot]) -> bool {

@@ -17,7 +17,7 @@ use super::trips::Trip;
 use fieldbeat_core::axis::feedback::MONITOR_CHANNELS;
 use fieldbeat_core::axis::{AxisPlan, FoundRunning, PlanFault};
 use fieldbeat_core::bus::load::{Load, Medium, Way};
-use fieldbeat_core::bus::native::{NativeBytes, NativeLayout, WantedOutputs};
+use fieldbeat_core::bus::native::{NativeData, NativeLayout};
 use fieldbeat_core::bus::variant::Variant;
 use fieldbeat_core::bus::{
     Bus, BusFacts, BusNumbers, BusPlan, Cycle, DriveFacts, Ends, Exchange, Grid, Notes, OpenError, Opened,
@@ -25,7 +25,6 @@ use fieldbeat_core::bus::{
 };
 use fieldbeat_core::net::{Broken, Carriers, LinkNotes, Lock, StreamPeer, Streams};
 use fieldbeat_core::rt::Regions;
-use fieldbeat_core::time::Time;
 
 /// Connections and their drives.
 struct ModbusBus {
@@ -219,17 +218,9 @@ impl Bus for ModbusBus {
         }
     }
 
-    fn native_bytes(
-        &self,
-        index: usize,
-        since: Time,
-        outputs: WantedOutputs,
-        bytes: &mut NativeBytes,
-    ) -> Option<Time> {
-        bytes.clear();
+    fn native(&self, index: usize) -> Option<NativeData<'_>> {
         let station = self.stations.get(index)?;
-        let received_at = station.native_inputs(since, bytes);
-        bytes.put_outputs(outputs, received_at, || Some(station.sent_request()))
+        Some((station, station.sent_request()))
     }
 
     fn shut_down(&mut self, cycle: &Cycle, slots: &mut [Slot]) -> bool {

@@ -20,7 +20,7 @@ use super::notes::{Known, WireNotes};
 use super::other::Others;
 use super::plan::{LenzeDrive, ProfibusPlan};
 use super::station::Station;
-use fieldbeat_core::bus::native::{NativeBytes, WantedOutputs};
+use fieldbeat_core::bus::native::NativeData;
 use fieldbeat_core::bus::{Bus, BusNumbers, Cycle, Ends, Exchange, OpenError, Opened, Slot, Unmatched};
 use fieldbeat_core::net::{Broken, Carriers, Lock, Place, Serial};
 use fieldbeat_core::rt::Regions;
@@ -227,17 +227,9 @@ impl Bus for ProfibusBus {
         }
     }
 
-    fn native_bytes(
-        &self,
-        index: usize,
-        since: Time,
-        outputs: WantedOutputs,
-        bytes: &mut NativeBytes,
-    ) -> Option<Time> {
-        bytes.clear();
+    fn native(&self, index: usize) -> Option<NativeData<'_>> {
         let station = self.stations.get(index)?;
-        let received_at = station.native().inputs(since, bytes);
-        bytes.put_outputs(outputs, received_at, || Some(station.sent_outputs()))
+        Some((station.native(), station.sent_outputs()))
     }
 
     fn shut_down(&mut self, cycle: &Cycle, slots: &mut [Slot]) -> bool {

@@ -10,7 +10,7 @@ use std::sync::Arc;
 use super::counters::{BusNumbers, Counters, OWN_COUNTERS};
 use super::desired::{Desired, Evidence, Gone};
 use super::drives::Ends;
-use super::native::{NativeBytes, WantedOutputs};
+use super::native::NativeData;
 use crate::axis::{DriveStatus, Emergency, Link};
 use crate::net::LinkNotes;
 use crate::rt::Regions;
@@ -105,17 +105,9 @@ pub trait Bus: Send {
     /// What it counts of itself, and the state of its clock. Queried now and then.
     fn numbers(&self) -> BusNumbers;
 
-    /// Replaces `bytes` by the newest native process data of drive `index` as they were received, if they were taken in
-    /// after `since`, followed by what the request that left last has carried to it, if that is wanted: it is only in
-    /// the cycle in which it left, before the next one is prepared. Returns when the inputs were taken in.
-    fn native_bytes(
-        &self,
-        _index: usize,
-        _since: Time,
-        _outputs: WantedOutputs,
-        bytes: &mut NativeBytes,
-    ) -> Option<Time> {
-        bytes.clear();
+    /// The native process data of drive `index`; `None`: it has none. The outputs are those that the request which left
+    /// last has carried to it: they are there in the cycle in which it left, before the next one is prepared.
+    fn native(&self, _index: usize) -> Option<NativeData<'_>> {
         None
     }
 

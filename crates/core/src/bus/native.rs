@@ -32,6 +32,15 @@ pub enum WantedOutputs {
     Always,
 }
 
+/// The newest native inputs of a drive, and the outputs that left last.
+pub type NativeData<'a> = (&'a dyn Inputs, &'a [u8]);
+
+/// The newest native inputs of a drive.
+pub trait Inputs {
+    /// Appends them as they were received, if they were taken in after `since`. Returns when they were.
+    fn put(&self, since: Time, out: &mut NativeBytes) -> Option<Time>;
+}
+
 impl WantedOutputs {
     /// They are, with inputs that were taken in then, if there are new ones.
     #[inline]
@@ -96,18 +105,19 @@ impl NativeBytes {
         }
     }
 
-    /// All that was put so far are the inputs, which were taken in then. Appends the outputs, if they are of interest.
+    /// Replaces them by the inputs of a drive, if these were taken in after `since`, and its outputs, if they are of
+    /// interest. Returns when the inputs were taken in.
     #[inline]
-    pub fn put_outputs<'a>(
+    pub fn take(
         &mut self,
+        (inputs, outputs): NativeData<'_>,
+        since: Time,
         wanted: WantedOutputs,
-        received_at: Option<Time>,
-        outputs: impl FnOnce() -> Option<&'a [u8]>,
     ) -> Option<Time> {
+        self.clear();
+        let received_at = inputs.put(since, self);
         self.inputs = self.length;
-        if wanted.is_now(received_at)
-            && let Some(outputs) = outputs()
-        {
+        if wanted.is_now(received_at) {
             self.put(outputs);
         }
         received_at
@@ -192,20 +202,30 @@ mod tests {
         assert_eq!((all.inputs(), all.length()), (0, 0));
     }
 
+    /// Inputs of the first instant.
+    struct Two;
+
+    impl Inputs for Two {
+        fn put(&self, since: Time, out: &mut NativeBytes) -> Option<Time> {
+            let at = Some(Time(1)).filter(|at| *at > since)?;
+            out.put(&[1, 2]);
+            Some(at)
+        }
+    }
+
     #[test]
     fn outputs_come_behind_the_inputs_where_they_are_wanted() {
-        let (old, new) = (None, Some(Time(1)));
-        for (wanted, received_at, follow) in [
-            (WantedOutputs::Never, new, false),
-            (WantedOutputs::WithInputs, old, false),
-            (WantedOutputs::WithInputs, new, true),
-            (WantedOutputs::Always, old, true),
+        let mut all = NativeBytes::default();
+        for (wanted, since, expected) in [
+            (WantedOutputs::Never, Time(0), (2, vec![1, 2])),
+            (WantedOutputs::WithInputs, Time(1), (0, vec![])),
+            (WantedOutputs::WithInputs, Time(0), (2, vec![1, 2, 3, 4, 5])),
+            (WantedOutputs::Always, Time(1), (0, vec![3, 4, 5])),
         ] {
-            let mut all = NativeBytes::default();
-            all.put(&[1, 2]);
-            assert_eq!(all.put_outputs(wanted, received_at, || Some(&[3, 4, 5])), received_at);
-            let expected = if follow { (2, 5, [1, 2, 3, 4, 5]) } else { (2, 2, [1, 2, 0, 0, 0]) };
-            assert_eq!((all.inputs(), all.length(), *all.part(0).unwrap()), expected, "{wanted:?}");
+            let received_at = all.take((&Two, &[3, 4, 5]), since, wanted);
+            assert_eq!(received_at.is_some(), since < Time(1));
+            let bytes = all.part::<8>(0).unwrap()[..all.length()].to_vec();
+            assert_eq!((all.inputs(), bytes), expected, "{wanted:?}");
         }
     }
 }

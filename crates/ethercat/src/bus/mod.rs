@@ -32,14 +32,14 @@ use super::wire::frame::{FRAME_MAX, PASSED};
 use fieldbeat_core::axis::acyclic::{self, Commanding};
 use fieldbeat_core::axis::cell;
 use fieldbeat_core::axis::{Feedback, Observer};
-use fieldbeat_core::bus::native::{NativeBytes, WantedOutputs};
+use fieldbeat_core::bus::native::NativeData;
 use fieldbeat_core::bus::notes::NoteCells;
 use fieldbeat_core::bus::{
     Bus, BusNumbers, Cycle, DeviceEnds, Ends, Exchange, OpenError, Opened, Slot, Unmatched,
 };
 use fieldbeat_core::net::{Carriers, Frames, Lock};
 use fieldbeat_core::rt::{Regions, Wires};
-use fieldbeat_core::time::{Time, US};
+use fieldbeat_core::time::US;
 
 /// Masters that are started one after the other use different logical addresses, so that settings that an earlier
 /// one has left in a slave take no part.
@@ -266,19 +266,10 @@ impl Bus for EthercatBus {
         }
     }
 
-    fn native_bytes(
-        &self,
-        index: usize,
-        since: Time,
-        outputs: WantedOutputs,
-        bytes: &mut NativeBytes,
-    ) -> Option<Time> {
-        bytes.clear();
-        let received_at = self.drives.get(index)?.station.profile.native().inputs(since, bytes);
-        bytes.put_outputs(outputs, received_at, || {
-            let Outgoing { frame, range, .. } = self.outgoing.get(index)?;
-            Some(self.image.frames().get(usize::from(*frame))?.sent_outputs(range))
-        })
+    fn native(&self, index: usize) -> Option<NativeData<'_>> {
+        let Outgoing { frame, range, .. } = self.outgoing.get(index)?;
+        let outputs = self.image.frames().get(usize::from(*frame))?.sent_outputs(range);
+        Some((self.drives.get(index)?.station.profile.native(), outputs))
     }
 
     fn shut_down(&mut self, cycle: &Cycle, slots: &mut [Slot]) -> bool {

@@ -32,7 +32,7 @@ use super::wire::ADU_MAX;
 use super::words::ControlWord;
 use fieldbeat_core::axis::acyclic::{self, AcyclicEnds};
 use fieldbeat_core::bus::desired::Accepted;
-use fieldbeat_core::bus::native::NativeBytes;
+use fieldbeat_core::bus::native::{Inputs as NativeInputs, NativeBytes};
 use fieldbeat_core::bus::{Cycle, Slot};
 use fieldbeat_core::inputs::InputLog;
 use fieldbeat_core::net::Broken;
@@ -154,6 +154,12 @@ struct Connection {
     dark_at: Option<Time>,
 }
 
+impl NativeInputs for Station {
+    fn put(&self, since: Time, out: &mut NativeBytes) -> Option<Time> {
+        self.also.inputs(&self.native, since, out)
+    }
+}
+
 /// The progress of the orderly end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum End {
@@ -259,12 +265,6 @@ impl Station {
             control_sent: None,
         };
         (station, application, ends)
-    }
-
-    /// Appends the newest native process data, if they were taken in after `since`. Returns when they were.
-    #[inline]
-    pub(super) fn native_inputs(&self, since: Time, out: &mut NativeBytes) -> Option<Time> {
-        self.also.inputs(&self.native, since, out)
     }
 
     /// Adds what it touches besides itself, to be locked.

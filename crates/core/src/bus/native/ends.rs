@@ -5,8 +5,8 @@ use std::marker::PhantomData;
 
 use rtrb::Producer;
 
-use super::NativeBytes;
 use super::image::{self, DRIVE, Image};
+use super::{Inputs, NativeBytes};
 use crate::axis::cell::{self, Reader, Writer};
 use crate::inputs::{Inlet, InputLog};
 use crate::packed::Part;
@@ -114,13 +114,6 @@ impl<Out: Part, const N: usize> NativePort<Out, N> {
         Image::write_words(&mut self.image, at, self.running, added, words);
     }
 
-    /// Appends the newest inputs, if they were taken in after `since`. Returns when they were.
-    pub fn inputs(&self, since: Time, out: &mut NativeBytes) -> Option<Time> {
-        let (at, flags, words) = self.newest(since)?;
-        out.put_words(words, image::length(flags));
-        Some(at)
-    }
-
     /// When the newest inputs were taken in, their flags, of which the lowest bits are those that the wire has added,
     /// and their words; `None`: that was not after `since`.
     #[inline]
@@ -135,6 +128,14 @@ impl<Out: Part, const N: usize> NativePort<Out, N> {
         for _ in 0..self.outputs.slots().min(OUTPUTS) {
             let _ = self.outputs.pop();
         }
+    }
+}
+
+impl<Out: Part, const N: usize> Inputs for NativePort<Out, N> {
+    fn put(&self, since: Time, out: &mut NativeBytes) -> Option<Time> {
+        let (at, flags, words) = self.newest(since)?;
+        out.put_words(words, image::length(flags));
+        Some(at)
     }
 }
 
@@ -176,8 +177,8 @@ mod tests {
         let image = native.inputs();
         assert_eq!((image.at(), image.flag(), image.added()), (Time(5), true, 3));
         let mut bytes = NativeBytes::default();
-        assert_eq!((port.inputs(Time(5), &mut bytes), bytes.length()), (None, 0));
-        assert_eq!((port.inputs(Time(4), &mut bytes), bytes.length()), (Some(Time(5)), 10));
+        assert_eq!((port.put(Time(5), &mut bytes), bytes.length()), (None, 0));
+        assert_eq!((port.put(Time(4), &mut bytes), bytes.length()), (Some(Time(5)), 10));
         assert_eq!(bytes.part(0), Some(&[1, 2, 3, 4, 5, 6, 7, 8, 9, 10]));
     }
 }

@@ -136,7 +136,8 @@ impl Parts<'_> {
                 Moment::Received => WantedOutputs::Always,
             };
             open.is_at_work = true;
-            let received_at = open.bus.native_bytes(chosen.index, chosen.received_at, outputs, bytes);
+            let data = open.bus.native(chosen.index);
+            let received_at = data.and_then(|data| bytes.take(data, chosen.received_at, outputs));
             open.is_at_work = false;
             if outputs.is_now(received_at) {
                 chosen.sent_at = sent_at;
