@@ -15,12 +15,10 @@ use fieldbeat_core::axis::command::NativeOwner;
 use fieldbeat_core::axis::{Lacks, State as Cia402};
 use fieldbeat_core::bus::Prepared;
 use fieldbeat_core::bus::desired::{
-    Capabilities, Desired, Evidence, FaultIs, Generator, Motion, Power, Quantity, Resettable,
+    Capabilities, Delivery, Desired, Evidence, FaultIs, Generator, Motion, Power, Quantity, Resettable,
 };
 use fieldbeat_core::time::Time;
 
-/// An output is delivered with so many answers from the telegram with it on.
-const ANSWERS: u64 = 2;
 /// Bits that let the ramp generator follow the set point.
 const RAMP: u16 = Control::RAMP_ENABLE | Control::RAMP_RUN | Control::SETPOINT;
 /// A drive stands with so many reports of that in a row.
@@ -50,27 +48,6 @@ pub(super) struct Inputs {
 impl Inputs {
     pub(super) fn faulted(&self) -> bool {
         matches!(self.state, Cia402::Fault | Cia402::FaultReactionActive)
-    }
-}
-
-/// A serial, and the number of answers when the first telegram with it was sent.
-#[derive(Clone, Copy, Debug, Default)]
-struct Carried {
-    serial: u64,
-    since: u64,
-}
-
-impl Carried {
-    #[inline]
-    fn sent(&mut self, serial: u64, answers: u64) {
-        if serial != self.serial {
-            *self = Carried { serial, since: answers };
-        }
-    }
-
-    #[inline]
-    fn is_delivered(&self, answers: u64) -> bool {
-        answers - self.since >= ANSWERS
     }
 }
 
@@ -110,8 +87,8 @@ pub(super) struct Profile {
     scale: f64,
     /// New telegrams that were answered.
     answers: u64,
-    power: Carried,
-    motion: Carried,
+    power: Delivery,
+    motion: Delivery,
     /// What is desired was sent, and is proved, as long as this is the revision of the state.
     steady: Option<u64>,
     setpoint: i16,
@@ -156,8 +133,8 @@ impl Profile {
             velocity: 0.0,
             scale: drive.counts_per_velocity(),
             answers: 0,
-            power: Carried::default(),
-            motion: Carried::default(),
+            power: Delivery::default(),
+            motion: Delivery::default(),
             steady: None,
             setpoint: 0,
             turning: 0,
@@ -330,12 +307,9 @@ impl Profile {
 
     /// What a report proves.
     pub(super) fn prove(&mut self, inputs: &Inputs, evidence: &mut Evidence) {
-        let delivered = |carried: &Carried, so_far| match carried.is_delivered(self.answers) {
-            true => carried.serial,
-            false => so_far,
-        };
-        evidence.accepted.power = delivered(&self.power, evidence.accepted.power);
-        evidence.accepted.motion = delivered(&self.motion, evidence.accepted.motion);
+        let accepted = &mut evidence.accepted;
+        accepted.power = self.power.accepted(self.answers, accepted.power);
+        accepted.motion = self.motion.accepted(self.answers, accepted.motion);
         evidence.outputs_count = true;
         evidence.is_set_up = self.watched;
         evidence.obstacle = (!self.watched).then_some(NOT_WATCHED);

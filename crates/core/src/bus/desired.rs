@@ -400,3 +400,37 @@ impl Capabilities {
         }
     }
 }
+/// An intent that counts as accepted by its delivery: an exchange after the one that carried it was answered, while
+/// outputs count.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Delivery {
+    /// Its serial.
+    pub serial: u64,
+    /// So many exchanges had been answered when the first one with it was sent.
+    pub since: u64,
+}
+
+impl Delivery {
+    /// The answer to the exchange that carried it, and to one after that.
+    const ANSWERS: u64 = 2;
+
+    /// An exchange with this serial was sent, behind so many answered ones.
+    #[inline]
+    pub fn sent(&mut self, serial: u64, answers: u64) {
+        if serial != self.serial {
+            *self = Delivery { serial, since: answers };
+        }
+    }
+
+    /// It is delivered, with so many answered exchanges.
+    #[inline]
+    pub fn is_delivered(self, answers: u64) -> bool {
+        answers - self.since >= Self::ANSWERS
+    }
+
+    /// The serial that is accepted, with so many answered exchanges: its own, or the one `so_far`.
+    #[inline]
+    pub fn accepted(self, answers: u64, so_far: u64) -> u64 {
+        if self.is_delivered(answers) { self.serial } else { so_far }
+    }
+}

@@ -26,13 +26,11 @@ use fieldbeat_core::axis::command::NativeOwner;
 use fieldbeat_core::bus::Prepared;
 use fieldbeat_core::bus::cia402::{ControlCommand, ControlWord, StatusWord};
 use fieldbeat_core::bus::desired::{
-    self, Desired, Evidence, FaultIs, Homing, Intent, ModeIs, Motion, Power, Quantity, Resettable,
+    self, Delivery, Desired, Evidence, FaultIs, Homing, Intent, ModeIs, Motion, Power, Quantity, Resettable,
 };
 use fieldbeat_core::rt::Regions;
 use fieldbeat_core::time::{MS, S, Time};
 
-/// The answer to an output comes with so many exchanges.
-const ANSWERS: u64 = 2;
 /// Exchanges that a drive may take from its order to home until bit 12 refers to this homing (assumed).
 const HOME_ANSWERS: u64 = 3;
 /// A drive that is commanded to switch on does so within this time, ns, or its hardware enable is missing
@@ -78,33 +76,6 @@ pub struct Inputs {
 impl Inputs {
     fn faulted(&self) -> bool {
         matches!(self.state, Cia402::Fault | Cia402::FaultReactionActive)
-    }
-}
-
-/// A serial, and the number of answered exchanges when the first one with it was sent.
-#[derive(Clone, Copy, Debug, Default)]
-struct Carried {
-    serial: u64,
-    since: u64,
-}
-
-impl Carried {
-    #[inline]
-    fn sent(&mut self, serial: u64, answers: u64) {
-        if serial != self.serial {
-            *self = Carried { serial, since: answers };
-        }
-    }
-
-    /// Delivered: an exchange after the one that carried it was answered.
-    #[inline]
-    fn is_delivered(self, answers: u64) -> bool {
-        answers - self.since >= ANSWERS
-    }
-
-    #[inline]
-    fn accepted(self, answers: u64, so_far: u64) -> u64 {
-        if self.is_delivered(answers) { self.serial } else { so_far }
     }
 }
 
@@ -177,7 +148,7 @@ pub struct Profile {
     /// The slot of the grid that the prepared exchange is built for, and the row desired in it.
     pub grid: Time,
     wanted_row: u64,
-    row: Carried,
+    row: Delivery,
     /// The exchanges that were answered.
     answers: u64,
     /// Raw setpoint of one user unit, of one user unit/s, or of one per cent of the rated torque; negative if the
@@ -204,8 +175,8 @@ pub struct Profile {
     /// It was found with another watchdog than configured.
     pub found_otherwise: bool,
     mode_refused: bool,
-    power: Carried,
-    motion: Carried,
+    power: Delivery,
+    motion: Delivery,
     switching: Switching,
     /// When it was last seen without its hardware enable.
     dark_at: Option<Time>,
@@ -256,9 +227,9 @@ impl Profile {
             state: Prepared::new(State::default()),
             sent: Sent::default(),
             answers: 0,
-            power: Carried::default(),
-            motion: Carried::default(),
-            row: Carried::default(),
+            power: Delivery::default(),
+            motion: Delivery::default(),
+            row: Delivery::default(),
             switching: Switching::default(),
             dark_at: None,
         }
@@ -538,7 +509,7 @@ impl Profile {
     pub(super) fn is_steady(&self, inputs: &Inputs) -> bool {
         let State { power, mode, motion, control, is_away, .. } = *self.state.left();
         let is_delivered =
-            |carried: Carried, serial| carried.serial == serial && carried.is_delivered(self.answers);
+            |carried: Delivery, serial| carried.serial == serial && carried.is_delivered(self.answers);
         let is_proved = is_delivered(self.power, power.serial) && is_delivered(self.motion, motion.serial);
         let is_written = self.sent.control == Some(control) && self.sent.before == Some(control);
         let homes = is_away || self.sent.homes || mode.value == desired::Mode::Homing;
