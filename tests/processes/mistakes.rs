@@ -18,7 +18,7 @@ fn an_address_that_is_taken_or_foreign_is_refused_with_the_remedy() {
             "another master holds this port: end it",
             "d0 0x20A8",
         ),
-        (wires::moons(&machine), "ethernet-ip", moons, "another scanner holds this port", "feeder AC"),
+        (wires::moons(&machine), "ethernet-ip", moons, "another master holds this port", "feeder AC"),
     ] {
         let [other, of_drive] = [bind, drive].map(socket);
         let taken = format!("cannot bind {bind}: Address already in use");

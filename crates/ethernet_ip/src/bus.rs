@@ -13,15 +13,11 @@ use super::wire::io::{Outgoing, Packet, PacketError};
 use fieldbeat_core::axis::acyclic;
 use fieldbeat_core::bus::native::NativeData;
 use fieldbeat_core::bus::{Bus, BusNumbers, Cycle, Ends, Notes, OpenError, Opened, Slot, Unmatched, drives};
-use fieldbeat_core::errors::no_descriptor;
 use fieldbeat_core::net::{
-    Carriers, Datagrams, LinkNotes, Lock, Outbox, Sent, StreamPeer, Streams, UdpOptions,
+    self, Carriers, Datagrams, LinkNotes, Lock, Outbox, Sent, StreamPeer, Streams, UdpOptions,
 };
 use fieldbeat_core::rt::Regions;
 
-/// The most batches taken from the socket in one call: what does not fit waits for the next one, so that a flood of
-/// datagrams never delays the cycle.
-const MOST_BATCHES: usize = 4;
 /// Room for a packet of a drive: those of others are cut off, and counted.
 const RECEIVED: usize = 128;
 
@@ -75,12 +71,8 @@ impl EthernetIpBus {
             dscp: plan.dscp,
             groups,
         };
-        let net = carriers.datagrams(bind, &options).map_err(|source| OpenError::Bind {
-            bus: plan.name.clone(),
-            address: plan.bind,
-            remedy: remedy(&source),
-            source,
-        })?;
+        let refused = |source| OpenError::bind(&plan.name, plan.bind, source);
+        let net = carriers.datagrams(bind, &options).map_err(refused)?;
         let (mut stations, mut peers) = (Vec::new(), Vec::new());
         let (mut notes, mut remarks) = (Vec::new(), Vec::new());
         let mut of_application = Vec::new();
@@ -135,45 +127,36 @@ impl EthernetIpBus {
     /// Takes in what is in the socket and hands each packet to the station of its connection.
     fn take_in(&mut self, slots: &mut [Slot]) {
         let EthernetIpBus { net, stations, by_address, unmatched, .. } = self;
-        for _ in 0..MOST_BATCHES {
-            let taken = net.receive(&mut |datagram| {
-                let source = *datagram.from.ip();
-                let packet = Packet::parse(datagram.bytes);
-                // The ids of packets to this master only are its own choice: the index is the upper half of them.
-                if let (Ok(packet), false) = (&packet, datagram.truncated) {
-                    let index = (packet.connection >> 16) as usize;
-                    if let (Some(station), Some(slot)) = (stations.get_mut(index), slots.get_mut(index))
-                        && station.is(source, packet.connection)
-                    {
-                        return station.take(datagram.at, packet, slot);
-                    }
-                }
-                let Ok(place) = by_address.binary_search_by_key(&source, |(ip, _)| *ip) else {
-                    unmatched.datagrams += 1;
-                    return from_elsewhere(&packet, stations, slots);
-                };
-                let Some((_, index)) = by_address.get(place).copied() else { return };
-                let (Some(station), Some(slot)) = (stations.get_mut(index), slots.get_mut(index)) else {
-                    return;
-                };
-                match packet {
-                    Ok(packet) if !datagram.truncated && station.is(source, packet.connection) => {
-                        station.take(datagram.at, &packet, slot);
-                    }
-                    Ok(packet) if !datagram.truncated => station.foreign(packet.connection, slot),
-                    Ok(_) => Station::refuse(None, slot),
-                    Err(why) => Station::refuse(Some(why), slot),
-                }
-            });
-            match taken {
-                Ok(count) if count < net.batch() => break,
-                Ok(_) => {}
-                Err(_) => {
-                    unmatched.errors += 1;
-                    break;
+        let is_taken = net::take_in(&mut **net, &mut |datagram| {
+            let source = *datagram.from.ip();
+            let packet = Packet::parse(datagram.bytes);
+            // The ids of packets to this master only are its own choice: the index is the upper half of them.
+            if let (Ok(packet), false) = (&packet, datagram.truncated) {
+                let index = (packet.connection >> 16) as usize;
+                if let (Some(station), Some(slot)) = (stations.get_mut(index), slots.get_mut(index))
+                    && station.is(source, packet.connection)
+                {
+                    return station.take(datagram.at, packet, slot);
                 }
             }
-        }
+            let Ok(place) = by_address.binary_search_by_key(&source, |(ip, _)| *ip) else {
+                unmatched.datagrams += 1;
+                return from_elsewhere(&packet, stations, slots);
+            };
+            let Some((_, index)) = by_address.get(place).copied() else { return };
+            let (Some(station), Some(slot)) = (stations.get_mut(index), slots.get_mut(index)) else {
+                return;
+            };
+            match packet {
+                Ok(packet) if !datagram.truncated && station.is(source, packet.connection) => {
+                    station.take(datagram.at, &packet, slot);
+                }
+                Ok(packet) if !datagram.truncated => station.foreign(packet.connection, slot),
+                Ok(_) => Station::refuse(None, slot),
+                Err(why) => Station::refuse(Some(why), slot),
+            }
+        });
+        unmatched.errors += u64::from(!is_taken);
     }
 }
 
@@ -186,19 +169,6 @@ fn from_elsewhere(packet: &Result<Packet<'_>, PacketError>, stations: &[Station]
         && station.has(connection)
     {
         Own::WrongSource.count(&mut slot.counters);
-    }
-}
-
-fn remedy(error: &std::io::Error) -> &'static str {
-    match error.kind() {
-        std::io::ErrorKind::AddrInUse => {
-            "another scanner holds this port: end it (ss -ulpn shows which), or give this bus another bind \
-             address"
-        }
-        std::io::ErrorKind::AddrNotAvailable => {
-            "this host has no such address: `ip -4 addr` lists those it has; put one of them into bind"
-        }
-        _ => no_descriptor(error).unwrap_or("look at the address in bind"),
     }
 }
 

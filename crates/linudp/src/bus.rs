@@ -21,17 +21,12 @@ use fieldbeat_core::bus::{
     Bus, BusFacts, BusNumbers, BusPlan, Cycle, DriveFacts, Ends, Exchange, Grid, LastResort, Notes,
     OpenError, Opened, ReplyWithin, Slot, Unmatched, drives,
 };
-use fieldbeat_core::errors::no_descriptor;
-use fieldbeat_core::net::{Carriers, Datagrams, Lock, Outbox, Sent, UdpOptions};
+use fieldbeat_core::net::{self, Carriers, Datagrams, Lock, Outbox, Sent, UdpOptions};
 use fieldbeat_core::rt::Regions;
 
 /// Room for one datagram: the longest telegram is 50 bytes, padding makes it 64 at most, and anything longer is not
 /// a telegram of this protocol.
 const ROOM: usize = if RESPONSE_MAX > 128 { RESPONSE_MAX } else { 128 };
-
-/// The most batches taken from the socket in one call: what does not fit waits for the next one, so that a flood of
-/// datagrams never delays the cycle.
-const MOST_BATCHES: usize = 4;
 
 /// One socket and its drives.
 struct LinUdpBus {
@@ -55,12 +50,7 @@ impl LinUdpBus {
         let waiting = plan.drives.iter().map(|drive| drive.axis.health.bucket as usize).max().unwrap_or(0);
         let options =
             UdpOptions { peers: plan.drives.len(), waiting, room: ROOM, send: plan.send, dscp: 0, groups: 0 };
-        let refused = |source| OpenError::Bind {
-            bus: plan.name.clone(),
-            address: plan.bind,
-            remedy: remedy(&source),
-            source,
-        };
+        let refused = |source| OpenError::bind(&plan.name, plan.bind, source);
         let net = carriers.datagrams(plan.bind, &options).map_err(refused)?;
         let twin = net.twin().map_err(refused)?;
         let peers: Vec<_> = plan.drives.iter().map(|drive| drive.address).collect();
@@ -91,32 +81,23 @@ impl LinUdpBus {
     /// Takes in what is in the socket and hands each datagram to the station of its sender.
     fn take_in(&mut self, in_window: bool, slots: &mut [Slot]) {
         let LinUdpBus { net, stations, senders, unmatched, .. } = self;
-        for _ in 0..MOST_BATCHES {
-            let taken = net.receive(&mut |datagram| {
-                let Some((index, is_its_port)) = senders.find(&datagram.from) else {
-                    unmatched.datagrams += 1;
-                    return;
-                };
-                let (Some(station), Some(slot)) = (stations.get_mut(index), slots.get_mut(index)) else {
-                    return;
-                };
-                if !is_its_port {
-                    slot.counters.foreign += 1;
-                } else if datagram.truncated {
-                    slot.counters.malformed += 1;
-                } else {
-                    station.take(datagram.at, datagram.bytes, in_window, slot);
-                }
-            });
-            match taken {
-                Ok(count) if count < net.batch() => break,
-                Ok(_) => {}
-                Err(_) => {
-                    unmatched.errors += 1;
-                    break;
-                }
+        let is_taken = net::take_in(&mut **net, &mut |datagram| {
+            let Some((index, is_its_port)) = senders.find(&datagram.from) else {
+                unmatched.datagrams += 1;
+                return;
+            };
+            let (Some(station), Some(slot)) = (stations.get_mut(index), slots.get_mut(index)) else {
+                return;
+            };
+            if !is_its_port {
+                slot.counters.foreign += 1;
+            } else if datagram.truncated {
+                slot.counters.malformed += 1;
+            } else {
+                station.take(datagram.at, datagram.bytes, in_window, slot);
             }
-        }
+        });
+        unmatched.errors += u64::from(!is_taken);
     }
 }
 
@@ -167,20 +148,6 @@ impl Senders {
         let place = self.by_address.binary_search_by_key(from.ip(), |(ip, _)| *ip).ok()?;
         let (_, index) = *self.by_address.get(place)?;
         Some((index, self.peers.get(index)?.port() == from.port()))
-    }
-}
-
-fn remedy(error: &std::io::Error) -> &'static str {
-    match error.kind() {
-        std::io::ErrorKind::AddrInUse => {
-            "another master holds this port: end it (ss -ulpn shows which), or give this bus another bind \
-             address"
-        }
-        std::io::ErrorKind::AddrNotAvailable => {
-            "this host has no such address: `ip -4 addr` lists those it has; put one of them into bind"
-        }
-        std::io::ErrorKind::PermissionDenied => "ports below 1024 need CAP_NET_BIND_SERVICE",
-        _ => no_descriptor(error).unwrap_or("look at the address in bind"),
     }
 }
 

@@ -1,5 +1,6 @@
 //! Why a bus cannot be opened.
 
+use std::io::ErrorKind;
 use std::net::SocketAddrV4;
 
 use thiserror::Error;
@@ -90,3 +91,21 @@ pub enum OpenError {
     },
 }
 crate::debug_as_display!(OpenError);
+
+impl OpenError {
+    /// The socket of this bus could not be opened at this address.
+    pub fn bind(bus: &str, address: SocketAddrV4, source: std::io::Error) -> OpenError {
+        let remedy = match source.kind() {
+            ErrorKind::AddrInUse => {
+                "another master holds this port: end it (ss -ulpn shows which), or give this bus another bind \
+                 address"
+            }
+            ErrorKind::AddrNotAvailable => {
+                "this host has no such address: `ip -4 addr` lists those it has; put one of them into bind"
+            }
+            ErrorKind::PermissionDenied => "ports below 1024 need CAP_NET_BIND_SERVICE",
+            _ => no_descriptor(&source).unwrap_or("look at the address in bind"),
+        };
+        OpenError::Bind { bus: bus.into(), address, source, remedy }
+    }
+}

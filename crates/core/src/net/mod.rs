@@ -94,6 +94,22 @@ pub trait Datagrams: Send {
     fn memory(&self, regions: &mut Regions);
 }
 
+/// The most batches taken from a carrier in one call: what does not fit waits for the next one, so that a flood of
+/// datagrams never delays the cycle.
+const MOST_BATCHES: usize = 4;
+
+/// Takes in what has arrived, up to a bounded amount, and calls `take` for each datagram. False: it ended with an error.
+pub fn take_in(carrier: &mut dyn Datagrams, take: &mut dyn FnMut(Received<'_>)) -> bool {
+    for _ in 0..MOST_BATCHES {
+        match carrier.receive(take) {
+            Ok(count) if count < carrier.batch() => break,
+            Ok(_) => {}
+            Err(_) => return false,
+        }
+    }
+    true
+}
+
 /// Opens carriers: the operating system's ([`Os`]), or those of a virtual world.
 #[doc(hidden)]
 pub trait Carriers {
