@@ -46,7 +46,8 @@ const HARMLESS: Upid = Upid::MONITOR_SOURCE;
 #[derive(Debug)]
 #[repr(C)]
 pub(super) struct RtcChannel {
-    calls: Calls,
+    /// Each call is about a value of its own.
+    calls: Calls<0>,
     /// The count of the last own block that went out, and the last prepared one.
     sent: u8,
     prepared: Option<RtcBlock>,

@@ -17,12 +17,19 @@ pub struct Calls<const ROOM: usize = MOST> {
     port: Port,
     /// A call that commands the drive has ended without the drive's answer: it may still be carried out.
     is_unsettled: bool,
-    /// What the last call of a series has read ...
+    series: Box<Series<ROOM>>,
+}
+
+/// The values of a series of calls: touched only by calls that are about them.
+#[derive(Debug)]
+struct Series<const ROOM: usize> {
+    /// What the last one has read ...
     read: Kept<ROOM>,
-    /// ... and what its calls have handed over to be written.
+    /// ... and what they have handed over to be written.
     loaded: Kept<ROOM>,
     /// The statuses of a part of what was not read, and of one that has no room.
-    missing: [u32; 2],
+    not_read: u32,
+    not_loaded: u32,
 }
 
 impl<const ROOM: usize> Calls<ROOM> {
@@ -30,12 +37,14 @@ impl<const ROOM: usize> Calls<ROOM> {
     /// and of one that hands over more than there is room for.
     pub fn new(port: Port, not_read: u32, not_loaded: u32) -> Calls<ROOM> {
         let (read, loaded) = (Kept::default(), Kept::default());
-        Calls { port, is_unsettled: false, read, loaded, missing: [not_read, not_loaded] }
+        let series = Box::new(Series { read, loaded, not_read, not_loaded });
+        Calls { port, is_unsettled: false, series }
     }
 
     /// Adds what it touches besides itself, to be locked.
     pub fn memory(&self, regions: &mut Regions) {
         self.port.memory(regions);
+        regions.add(&*self.series);
     }
 
     /// From now on calls that command the drive are refused, or not.
@@ -69,12 +78,12 @@ impl<const ROOM: usize> Calls<ROOM> {
     /// The next call that needs a telegram. Those before it, `most` of them, are about the values of a series, and end
     /// here.
     pub fn next(&mut self, most: usize) -> Option<Posted> {
-        let [not_read, not_loaded] = self.missing;
+        let Series { read, loaded, not_read, not_loaded } = &mut *self.series;
         for _ in 0..=most {
             let posted = self.port.take()?;
             let here = match posted.call.service {
-                SIZE | PART => self.read.answer(&posted).ok_or(not_read),
-                LOAD => self.loaded.load(&posted).ok_or(not_loaded),
+                SIZE | PART => read.answer(&posted).ok_or(*not_read),
+                LOAD => loaded.load(&posted).ok_or(*not_loaded),
                 _ => return Some(posted),
             };
             self.port.end(&posted, here.map_err(CallError::Refused));
@@ -84,12 +93,12 @@ impl<const ROOM: usize> Calls<ROOM> {
 
     /// The value that was handed over for this call; `None`: it is not there.
     pub fn loaded(&self, posted: &Posted) -> Option<&[u8]> {
-        self.loaded.whole(posted)
+        self.series.loaded.whole(posted)
     }
 
     /// This call has read a value of `size` bytes, and the first of them.
     pub fn keep(&mut self, posted: &Posted, size: usize, bytes: &[u8]) {
-        self.read = Kept::of_read(posted, size, bytes);
+        self.series.read = Kept::of_read(posted, size, bytes);
     }
 
     /// Why a call that is under way since `begun` ends now, although the drive has not answered it. `is_sent`: the drive
