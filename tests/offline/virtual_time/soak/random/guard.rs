@@ -60,6 +60,8 @@ pub struct Guard {
     given_up_before: bool,
     enabled: bool,
     has_reset: bool,
+    /// Another program may have switched it on, which this process only reads.
+    lent: bool,
     stopped: Option<StopCause>,
     pub lines: u32,
 }
@@ -89,6 +91,7 @@ impl Guard {
             given_up_before: false,
             enabled: false,
             has_reset: false,
+            lent: false,
             stopped: None,
             lines: 0,
         }
@@ -98,7 +101,8 @@ impl Guard {
     pub fn begin(&mut self, resumed: bool, barred: bool, truth: Truth) {
         self.barred = barred || !self.is_to_move;
         (self.resumed, self.given_up_before) = (resumed, barred && self.is_to_move);
-        (self.enabled, self.has_reset, self.stopped, self.lines) = (false, false, None, 0);
+        (self.enabled, self.has_reset, self.lent) = (false, false, false);
+        (self.stopped, self.lines) = (None, 0);
         (self.since, self.powered) = (0, truth.powered);
     }
 
@@ -116,6 +120,7 @@ impl Guard {
     /// Another program may move it for a while.
     pub fn pushed(&mut self) {
         (self.has_stood, self.moving, self.standing) = (false, 0, 0);
+        self.lent |= !self.enabled;
     }
 
     /// It was given up before this process.
@@ -224,7 +229,7 @@ impl Guard {
     pub fn ended(&self, truth: Truth, is_held: bool, own: bool) -> Result<(), Breach> {
         let is_own = self.enabled && !self.barred;
         let moves = truth.powered && truth.velocity.abs() > self.scale.still;
-        let is_wrong = if is_held { is_own && !truth.powered } else { truth.powered };
+        let is_wrong = if is_held { is_own && !truth.powered } else { truth.powered && !self.lent };
         if (moves || is_wrong) && (is_own || !own) {
             return Err(("end", format!("{truth:?}")));
         }
