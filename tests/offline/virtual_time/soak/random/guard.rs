@@ -60,7 +60,7 @@ pub struct Guard {
     given_up_before: bool,
     enabled: bool,
     has_reset: bool,
-    /// Another program may have switched it on, which this process only reads.
+    /// Another program, or a dead one, may switch it on, which this process only reads.
     lent: bool,
     stopped: Option<StopCause>,
     pub lines: u32,
@@ -120,6 +120,11 @@ impl Guard {
     /// Another program may move it for a while.
     pub fn pushed(&mut self) {
         (self.has_stood, self.moving, self.standing) = (false, 0, 0);
+        self.lend();
+    }
+
+    /// Its power may come on by what this process has not sent.
+    pub fn lend(&mut self) {
         self.lent |= !self.enabled;
     }
 

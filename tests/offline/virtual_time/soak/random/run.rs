@@ -86,6 +86,8 @@ pub struct Run {
     bad: Vec<u64>,
     unplugged: Vec<Option<u64>>,
     pushed: Vec<u64>,
+    /// Its hardware enable is open until that turn: a drive may follow the commands of a dead master behind that.
+    disabled: Vec<u64>,
     /// Its drive reports once more that its master was silent, so many turns after a fault of it was reset.
     relapses: Vec<Option<u8>>,
     turn: u64,
@@ -153,6 +155,7 @@ impl Run {
             bad: vec![GRACE; AXES],
             unplugged: vec![None; AXES],
             pushed: vec![0; AXES],
+            disabled: vec![0; AXES],
             relapses: vec![None; AXES],
             turn: 0,
             kill: None,
@@ -178,6 +181,9 @@ impl Run {
         for axis in 0..AXES {
             let truth = self.machine.truth(axis);
             self.guards[axis].begin(self.is_resumed, self.saved.1[axis], truth);
+            if self.turn < self.disabled[axis] {
+                self.guards[axis].lend();
+            }
             self.tally.stayed += u64::from(self.saved.1[axis]);
         }
         for axis in 0..AXES {
@@ -399,7 +405,12 @@ impl Run {
                 self.guards[axis].restarted();
                 bad(self, 0);
             }
-            Op::OpenSto(ms) => self.machine.open_sto(axis, u64::from(ms) * MS),
+            Op::OpenSto(ms) => {
+                let open_ns = u64::from(ms) * MS;
+                self.machine.open_sto(axis, open_ns);
+                self.disabled[axis] = turn + open_ns / PERIOD_NS;
+                self.guards[axis].lend();
+            }
             Op::Fault => self.machine.provoke(axis),
             Op::Silence => self.machine.silence(axis),
             Op::Relapse(turns) => {
