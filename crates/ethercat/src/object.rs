@@ -27,10 +27,11 @@ mod notation;
 pub mod number;
 pub mod pdo;
 
-use fieldbeat_core::axis::acyclic::{Call, CallError, Commanding, Integer};
+use fieldbeat_core::axis::acyclic::{Call, CallError, Commanding, Integer, decimal, hexadecimal};
 
 pub use fieldbeat_core::axis::acyclic::long;
-pub use fieldbeat_core::axis::acyclic::long::{LOAD, PART, READ, SIZE, STORE, WRITE};
+pub use fieldbeat_core::axis::acyclic::long::{LOAD, PART, READ, SIZE, STORE, Service, WRITE};
+use fieldbeat_core::named;
 
 pub use super::wire::sdo::Object;
 pub use catalogue::{Access, Drives, Known};
@@ -92,46 +93,30 @@ pub enum Family {
     Akd,
 }
 
-/// The type of an object.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum Type {
-    /// INTEGER8.
-    I8,
-    /// UNSIGNED8.
-    U8,
-    /// INTEGER16.
-    I16,
-    /// UNSIGNED16.
-    U16,
-    /// INTEGER32.
-    I32,
-    /// UNSIGNED32.
-    U32,
-    /// VISIBLE_STRING: a call has eight characters of it, a series of calls more.
-    Text,
-    /// OCTET_STRING: the same of any bytes.
-    Octets,
+named! {
+    /// The type of an object. Its number is that in the address of a call.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+    pub enum Type {
+        /// INTEGER8.
+        I8 = 1: "i8",
+        /// UNSIGNED8.
+        U8 = 2: "u8",
+        /// INTEGER16.
+        I16 = 3: "i16",
+        /// UNSIGNED16.
+        U16 = 4: "u16",
+        /// INTEGER32.
+        I32 = 5: "i32",
+        /// UNSIGNED32.
+        U32 = 6: "u32",
+        /// VISIBLE_STRING: a call has eight characters of it, a series of calls more.
+        Text = 7: "text",
+        /// OCTET_STRING: the same of any bytes.
+        Octets = 8: "octets",
+    }
 }
 
 impl Type {
-    /// All of them.
-    pub const ALL: [Type; 8] =
-        [Type::I8, Type::U8, Type::I16, Type::U16, Type::I32, Type::U32, Type::Text, Type::Octets];
-
-    /// How people write it.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Type::I8 => "i8",
-            Type::U8 => "u8",
-            Type::I16 => "i16",
-            Type::U16 => "u16",
-            Type::I32 => "i32",
-            Type::U32 => "u32",
-            Type::Text => "text",
-            Type::Octets => "octets",
-        }
-    }
-
     /// It is a string: as long as it is, and no number.
     pub const fn is_string(self) -> bool {
         matches!(self, Type::Text | Type::Octets)
@@ -169,23 +154,17 @@ impl Type {
     pub const fn raw(self, number: i64) -> u64 {
         self.integer().raw(number)
     }
-
-    /// As a byte; 0 is no type.
-    fn code(self) -> u8 {
-        self as u8 + 1
-    }
 }
 
 impl Object {
     /// `0x6041:0`, `6041h:0`, or without subindex for 0.
     pub fn parse(text: &str) -> Option<Object> {
         let (index, sub) = match text.split_once(':') {
-            Some((index, sub)) => (index, decimal(sub)?),
+            Some((index, sub)) => (index, subindex(sub)?),
             None => (text, 0),
         };
         let digits = index.strip_prefix("0x").or_else(|| index.strip_suffix('h'))?;
-        let is_index = digits.len() == 4 && digits.bytes().all(|byte| byte.is_ascii_hexdigit());
-        let index = u16::from_str_radix(digits, 16).ok().filter(|_| is_index)?;
+        let index = u16::try_from(hexadecimal(digits)?).ok().filter(|_| digits.len() == 4)?;
         Some(Object { index, sub })
     }
 
@@ -196,9 +175,8 @@ impl Object {
 }
 
 /// A subindex, without signs and superfluous zeros.
-fn decimal(text: &str) -> Option<u8> {
-    let is_one = text.bytes().all(|byte| byte.is_ascii_digit()) && (text == "0" || !text.starts_with('0'));
-    text.parse().ok().filter(|_| is_one)
+fn subindex(text: &str) -> Option<u8> {
+    decimal(text).filter(|_| text == "0" || !text.starts_with('0'))
 }
 
 /// The object that a call reads or writes.
@@ -217,35 +195,24 @@ const COMPLETE: u8 = 1 << 7;
 /// The suffix of the index, as people write it.
 const ALL_SUBS: &str = ":ca";
 
-impl Target {
-    /// As the address of a call: the type (0 = none, 80h = complete access), the index, the subindex.
-    pub fn pack(self) -> u32 {
+/// Packed: the type (0 = none, 80h = complete access), the index, the subindex.
+impl long::Target for Target {
+    fn pack(self) -> u32 {
         let [high, low] = self.object.index.to_be_bytes();
-        let kind = if self.complete { COMPLETE } else { self.kind.map_or(0, Type::code) };
+        let kind = if self.complete { COMPLETE } else { self.kind.map_or(0, |kind| kind as u8) };
         u32::from_be_bytes([kind, high, low, self.object.sub])
     }
 
-    /// From the address of a call; `None`: it is invalid.
-    pub fn unpack(address: u32) -> Option<Target> {
+    fn unpack(address: u32) -> Option<Target> {
         let [code, high, low, sub] = address.to_be_bytes();
-        let complete = code == COMPLETE;
-        let kind = match code.checked_sub(1).filter(|_| !complete) {
-            None => None,
-            Some(place) => Some(*Type::ALL.get(usize::from(place))?),
-        };
-        Some(Target { object: Object::new(u16::from_be_bytes([high, low]), sub), kind, complete })
+        let kind = Type::ALL.into_iter().find(|kind| *kind as u8 == code);
+        let object = Object::new(u16::from_be_bytes([high, low]), sub);
+        let is_one = matches!(code, 0 | COMPLETE) || kind.is_some();
+        is_one.then_some(Target { object, kind, complete: code == COMPLETE })
     }
+}
 
-    /// The call that reads it.
-    pub fn read(self) -> Call {
-        Call { service: READ, address: self.pack(), value: 0 }
-    }
-
-    /// The call that writes these raw bits to it.
-    pub fn write(self, raw: u64) -> Call {
-        Call { service: WRITE, address: self.pack(), value: raw }
-    }
-
+impl Target {
     /// As people write it.
     pub fn parse(text: &str) -> Option<Target> {
         if let Some(index) = text.strip_suffix(ALL_SUBS).filter(|index| !index.contains(':')) {
@@ -259,21 +226,6 @@ impl Target {
         let own = || object.known().map(|known| known.kind);
         Some(Target { object, kind: kind.or_else(own), complete: false })
     }
-
-    /// It is read as bytes, and is no number.
-    fn is_bytes(&self) -> bool {
-        self.complete || self.kind.is_some_and(Type::is_string)
-    }
-
-    /// These bytes of it as people write them.
-    fn shown(&self, bytes: &[u8]) -> String {
-        if self.kind == Some(Type::Text) { long::text(bytes) } else { long::octets(bytes) }
-    }
-
-    /// The value of raw bits; unsigned where no type is known.
-    fn number(self, raw: u64) -> i64 {
-        self.kind.map_or(i64::try_from(raw).unwrap_or(i64::MAX), |kind| kind.number(raw))
-    }
 }
 
 /// The calls that command a drive whose cyclic outputs are `mapped`.
@@ -284,8 +236,7 @@ pub fn commanding(mapped: impl IntoIterator<Item = Object>) -> Commanding {
 /// Why a call of the application is refused while the power of its drive is on: it writes an object that is exchanged,
 /// or none that is known to be harmless.
 fn refusal(call: &Call, mapped: &[u32]) -> Option<CallError> {
-    let writes = matches!(call.service, WRITE | STORE);
-    let object = Target::unpack(call.address).filter(|_| writes)?.object;
+    let object = Service::<Target>::written(call)?.object;
     (mapped.contains(&object.key()) || !is_harmless(object.index)).then_some(CallError::Commands)
 }
 
@@ -311,6 +262,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
+    use fieldbeat_core::axis::acyclic::long::Target as _;
     use fieldbeat_core::axis::acyclic::{Notation, NotationError};
 
     #[test]

@@ -10,6 +10,7 @@ use super::profile;
 use super::target::Target;
 use super::wire::assembly::{Version, alarms, input_size};
 use super::wire::io::{COUNT, OUTGOING_MAX, OWNER_SIZE};
+use fieldbeat_core::axis::acyclic::long::Target as _;
 use fieldbeat_core::axis::{AxisPlan, FoundRunning, PlanFault};
 use fieldbeat_core::bus::load::{Load, Medium, Way};
 use fieldbeat_core::bus::native::NativeLayout;

@@ -28,9 +28,10 @@ mod names;
 use super::target::{Service, Target, reason};
 use super::wire::assembly::IoCode;
 use super::wire::opcodes::{self, Opcode, Operand};
+use fieldbeat_core::axis::acyclic::long::Target as _;
 use fieldbeat_core::axis::acyclic::{
-    Call, CallError, Carrier, Integer, ListError, Listing, Notation, NotationError, Quantity, Wanted, long,
-    shown, within,
+    Counts, Integer, ListError, Listing, Notation, NotationError, Place, Values, Wanted, Words, decimal,
+    hexadecimal,
 };
 
 const FORM: &str = "AC (a parameter), AC.flash, R:3 (a register), SCL:VE (a command for the buffer), \
@@ -40,106 +41,74 @@ const FORM: &str = "AC (a parameter), AC.flash, R:3 (a register), SCL:VE (a comm
 const ONLY_WRITTEN: &str = "an address that can be read: commands and outputs are only written";
 const READ_ONLY: &str = "another one: the drive only reports this";
 
-/// The most characters of a text: its length is a byte.
-const TEXT_MAX: usize = long::MOST - 1;
-
 /// Addresses and values of these drives.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Addresses;
 
 /// An address and what its values are.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug)]
 struct Address {
     target: Target,
-    shape: Shape,
+    values: Values,
 }
 
-/// What values are.
-#[derive(Clone, Copy, Debug, PartialEq)]
-enum Shape {
-    /// Numbers of so many bits.
-    Number { of: Integer, low: i64, high: i64, quantity: Option<Quantity> },
-    /// An input and its condition.
-    Io,
-    /// Two of them, the first one in the lower half.
-    TwoIos,
-    /// A text behind a byte with its length.
-    Text,
-    /// Bytes.
-    Octets,
+/// All numbers of so many bits.
+const fn number(bits: u32, signed: bool) -> Counts {
+    Counts::all(Integer { bits, signed })
 }
 
-impl Shape {
-    /// All numbers of so many bits.
-    const fn number(bits: u32, signed: bool) -> Shape {
-        let of = Integer { bits, signed };
-        let (low, high) = of.range();
-        Shape::Number { of, low, high, quantity: None }
-    }
-
-    /// Those of this range.
-    const fn within(bits: u32, low: i64, high: i64) -> Shape {
-        Shape::Number { of: Integer { bits, signed: low < 0 }, low, high, quantity: None }
-    }
-
-    /// From the suffix of an attribute.
-    fn named(name: &str) -> Option<Shape> {
-        SUFFIXES.into_iter().find(|(known, _)| *known == name).map(|(_, shape)| shape)
-    }
-
-    /// The type of a number; of what is longer, that of a value of a call.
-    fn integer(self) -> Integer {
-        let bits = match self {
-            Shape::Number { of, .. } => return of,
-            Shape::Io => 16,
-            Shape::TwoIos => 32,
-            Shape::Text | Shape::Octets => 64,
-        };
-        Integer { bits, signed: false }
-    }
-
-    fn raw(self, number: i64) -> u64 {
-        self.integer().raw(number)
-    }
-
-    fn value(self, raw: u64) -> i64 {
-        self.integer().number(raw)
-    }
-
-    fn range(self) -> (i64, i64) {
-        match self {
-            Shape::Number { low, high, .. } => (low, high),
-            _ => self.integer().range(),
-        }
-    }
+/// Those of this range.
+const fn within(bits: u32, low: i64, high: i64) -> Counts {
+    Counts { range: (low, high), ..number(bits, low < 0) }
 }
 
-/// The types of an attribute.
-#[rustfmt::skip]
-const SUFFIXES: [(&str, Shape); 10] = [
-    ("text", Shape::Text), ("octets", Shape::Octets),
-    ("u8", Shape::number(8, false)), ("u16", Shape::number(16, false)), ("u32", Shape::number(32, false)),
-    ("u64", Shape::number(64, false)), ("i8", Shape::number(8, true)), ("i16", Shape::number(16, true)),
-    ("i32", Shape::number(32, true)), ("i64", Shape::number(64, true)),
-];
+/// An input and its condition.
+static IO: Words = Words {
+    parse: |text| text.parse::<IoCode>().ok().map(|io| io.code().into()),
+    show: |code| IoCode::from_code(code as u16).map(|io| io.to_string()),
+    form: |_, _| "an input and its condition, like 2L: 0 ... 12, then H, L, R or F".to_owned(),
+};
+
+/// Two of them, the first one in the lower half.
+static TWO_IOS: Words = Words {
+    parse: |text| {
+        let (first, second) = text.split_once('/')?;
+        Some((IO.parse)(second)? << 16 | (IO.parse)(first)?)
+    },
+    show: |codes| Some(format!("{}/{}", (IO.show)(codes)?, (IO.show)(codes >> 16)?)),
+    form: |_, _| "two inputs and their conditions, like 2L/3R".to_owned(),
+};
+
+/// The values of an attribute, from its suffix.
+fn named(suffix: &str) -> Option<Values> {
+    Some(match suffix {
+        "text" => Values::ShortText,
+        "octets" => Values::Octets,
+        number => Values::Counts(Counts::all(Integer::named(number)?)),
+    })
+}
 
 /// The name of something, its target, its values, and what it is.
-type Named = (&'static str, Target, Shape, &'static str);
+type Named = (&'static str, Target, Counts, &'static str);
 
 /// What has a name of its own here.
 #[rustfmt::skip]
 static NAMED: [Named; 8] = [
-    ("encoder", Target::Encoder, Shape::number(32, true), "encoder position"),
-    ("absolute", Target::Absolute, Shape::number(32, true), "absolute position"),
-    ("alarm-history", Target::AlarmHistory, Shape::number(32, false), "history of alarms"),
-    ("stop", Target::Stop, Shape::within(8, 0, 1), "ST at once: 0 with AM, 1 with DE or JL"),
-    ("kill", Target::Kill, Shape::within(8, 0, 1), "SK at once: 0 with AM, 1 with DE or JL; the buffer is emptied"),
-    ("alarm-reset", Target::AlarmReset, Shape::within(8, 0, 0), "AR at once; the motor stays off"),
-    ("load-program", Target::LoadProgram, Shape::within(8, 0, 0), "QL"),
-    ("save-segment", Target::SaveSegment, Shape::within(8, 1, 12), "QS: segment 1 ... 12"),
+    ("encoder", Target::Encoder, number(32, true), "encoder position"),
+    ("absolute", Target::Absolute, number(32, true), "absolute position"),
+    ("alarm-history", Target::AlarmHistory, number(32, false), "history of alarms"),
+    ("stop", Target::Stop, within(8, 0, 1), "ST at once: 0 with AM, 1 with DE or JL"),
+    ("kill", Target::Kill, within(8, 0, 1), "SK at once: 0 with AM, 1 with DE or JL; the buffer is emptied"),
+    ("alarm-reset", Target::AlarmReset, within(8, 0, 0), "AR at once; the motor stays off"),
+    ("load-program", Target::LoadProgram, within(8, 0, 0), "QL"),
+    ("save-segment", Target::SaveSegment, within(8, 1, 12), "QS: segment 1 ... 12"),
 ];
 
 impl Address {
+    fn of(target: Target, counts: Counts) -> Address {
+        Address { target, values: Values::Counts(counts) }
+    }
+
     fn parse(text: &str) -> Option<Address> {
         if let Some(register) = text.strip_prefix("R:") {
             return Address::register(register);
@@ -148,12 +117,11 @@ impl Address {
             return Address::command(command);
         }
         if let Some(output) = text.strip_prefix("output:") {
-            let number = digits(output, 10)?.checked_sub(1)?;
-            let index = u8::try_from(number).ok().filter(|index| *index < 128)?;
-            return Some(Address { target: Target::Output(index), shape: Shape::within(8, 0, 1) });
+            let index = decimal::<u8>(output)?.checked_sub(1).filter(|index| *index < 128)?;
+            return Some(Address::of(Target::Output(index), within(8, 0, 1)));
         }
         match NAMED.into_iter().find(|(name, ..)| *name == text) {
-            Some((_, target, shape, _)) => Some(Address { target, shape }),
+            Some((_, target, counts, _)) => Some(Address::of(target, counts)),
             None => Address::attribute(text).or_else(|| Address::parameter(text)),
         }
     }
@@ -165,15 +133,16 @@ impl Address {
             return None;
         }
         let signed = names::SIGNED.contains(&parameter.name);
-        let shape = names::scaled(parameter.name, Shape::number(16, signed));
-        Some(Address { target: Target::Parameter { index: parameter.index, flash }, shape })
+        let counts = names::scaled(parameter.name, number(16, signed));
+        Some(Address::of(Target::Parameter { index: parameter.index, flash }, counts))
     }
 
     fn register(text: &str) -> Option<Address> {
         let &[register] = text.as_bytes() else { return None };
         let known = opcodes::REGISTERS.iter().any(|(known, _)| *known == register);
-        let shape = names::scaled_register(register, Shape::number(32, true));
-        (known || register.is_ascii_digit()).then_some(Address { target: Target::Register(register), shape })
+        let counts = names::scaled_register(register, number(32, true));
+        let is_one = known || register.is_ascii_digit();
+        is_one.then(|| Address::of(Target::Register(register), counts))
     }
 
     fn command(text: &str) -> Option<Address> {
@@ -185,14 +154,13 @@ impl Address {
                 register.is_ascii_alphanumeric().then_some(register)?
             }
             (Operand::FieldWord, Some(field)) => {
-                let number = digits(field, 10).and_then(|number| u8::try_from(number).ok())?;
                 // The lower half of a code is the number of its input or output.
-                IoCode::new(number, super::wire::assembly::Condition::Low)?.code().to_be_bytes()[1]
+                IoCode::new(decimal(field)?, super::wire::assembly::Condition::Low)?.code().to_be_bytes()[1]
             }
             (Operand::Register | Operand::RegisterLong, None) | (_, Some(_)) => return None,
             (_, None) => 0,
         };
-        Some(Address { target: Target::Command { code: opcode.code, field }, shape: operand(opcode) })
+        Some(Address::of(Target::Command { code: opcode.code, field }, operand(opcode)))
     }
 
     fn attribute(text: &str) -> Option<Address> {
@@ -204,120 +172,29 @@ impl Address {
         let (attribute, kind) =
             last.split_once('.').map_or((last, None), |(attribute, kind)| (attribute, Some(kind)));
         let target = Target::attribute(part(class)?, part(instance)?, part(attribute)?)?;
-        let shape = kind.map_or(Some(Shape::Octets), Shape::named)?;
-        Some(Address { target, shape })
-    }
-
-    fn is_attribute(&self) -> bool {
-        matches!(self.target, Target::Attribute { .. })
-    }
-
-    /// The number that is meant by a raw value that may have its sign above its bits.
-    fn number_of(&self, raw: u64) -> Option<i64> {
-        self.shape.integer().number_within(raw, self.shape.range())
-    }
-
-    /// What `text` says as a number.
-    fn number(&self, text: &str) -> Result<i64, NotationError> {
-        let number = match text.strip_prefix("0x") {
-            Some(bits) => digits(bits, 16).map(|raw| self.number_of(raw).unwrap_or(i64::MAX)),
-            None => self.count(text),
-        };
-        within(number, self.shape.range(), text, || self.form())
-    }
-
-    /// A decimal number, or a word.
-    fn count(&self, text: &str) -> Option<i64> {
-        match (text, self.shape) {
-            ("true", _) => return Some(1),
-            ("false", _) => return Some(0),
-            (_, Shape::Io) => {
-                if let Ok(io) = text.parse::<IoCode>() {
-                    return Some(io.code().into());
-                }
-            }
-            (_, Shape::TwoIos) => {
-                if let Some((first, second)) = text.split_once('/') {
-                    let code = |text: &str| text.parse::<IoCode>().ok().map(|io| i64::from(io.code()));
-                    return Some(code(second)? << 16 | code(first)?);
-                }
-            }
-            _ => {}
-        }
-        text.parse().ok()
-    }
-
-    /// The correct form of a value.
-    fn form(&self) -> String {
-        let (low, high) = self.shape.range();
-        match self.shape {
-            Shape::Io => "an input and its condition, like 2L: 0 ... 12, then H, L, R or F".to_owned(),
-            Shape::TwoIos => "two inputs and their conditions, like 2L/3R".to_owned(),
-            Shape::Text => format!("up to {TEXT_MAX} characters of ASCII"),
-            Shape::Octets => format!("1 to {} bytes of two digits each, like \"01 A0\"", long::MOST),
-            Shape::Number { .. } => format!("a whole number, {low} ... {high}, or its bits as 0x..."),
-        }
-    }
-
-    /// What a value that is longer than a number has on the wire; `None`: it is none.
-    fn bytes(&self, text: &str) -> Option<Vec<u8>> {
-        let bytes = match self.shape {
-            Shape::Text => {
-                let is_text = text.bytes().all(|byte| byte.is_ascii_graphic() || byte == b' ');
-                let length = u8::try_from(text.len()).ok().filter(|_| is_text && text.len() <= TEXT_MAX)?;
-                [&[length], text.as_bytes()].concat()
-            }
-            Shape::Octets => long::parse_octets(text)?,
-            _ => {
-                let number = self.number(text).ok()?;
-                let size = self.shape.integer().bits as usize / 8;
-                self.shape.raw(number).to_le_bytes().get(..size)?.to_vec()
-            }
-        };
-        (bytes.len() <= long::MOST).then_some(bytes)
+        Some(Address { target, values: kind.map_or(Some(Values::Octets), named)? })
     }
 }
 
 /// What follows a command.
-fn operand(opcode: Opcode) -> Shape {
-    let shape = match opcode.operand {
-        Operand::None | Operand::Register => Shape::within(64, 0, 0),
-        Operand::Byte if opcode.name == "QX" => Shape::within(64, 1, 12),
-        Operand::Byte => Shape::within(64, 0, 0xFF),
-        Operand::Word | Operand::FieldWord => Shape::within(64, i16::MIN.into(), u16::MAX.into()),
-        Operand::Long | Operand::RegisterLong => Shape::within(64, i32::MIN.into(), i32::MAX.into()),
-        Operand::Io => Shape::Io,
-        Operand::TwoIos => Shape::TwoIos,
+fn operand(opcode: Opcode) -> Counts {
+    let counts = match opcode.operand {
+        Operand::None | Operand::Register => within(64, 0, 0),
+        Operand::Byte if opcode.name == "QX" => within(64, 1, 12),
+        Operand::Byte => within(64, 0, 0xFF),
+        Operand::Word | Operand::FieldWord => within(64, i16::MIN.into(), u16::MAX.into()),
+        Operand::Long | Operand::RegisterLong => within(64, i32::MIN.into(), i32::MAX.into()),
+        Operand::Io => Counts { words: Some(&IO), ..number(16, false) },
+        Operand::TwoIos => Counts { words: Some(&TWO_IOS), ..number(32, false) },
     };
-    names::scaled(opcode.name, shape)
+    names::scaled(opcode.name, counts)
 }
 
 /// A number of a path: decimal, or hexadecimal behind 0x.
 fn part(text: &str) -> Option<u16> {
-    let number = match text.strip_prefix("0x") {
-        Some(hex) => digits(hex, 16),
-        None => digits(text, 10),
-    };
-    number.and_then(|number| u16::try_from(number).ok())
-}
-
-/// Digits and nothing else.
-fn digits(text: &str, radix: u32) -> Option<u64> {
-    u64::from_str_radix(text, radix).ok().filter(|_| !text.starts_with('+'))
-}
-
-impl Addresses {
-    fn find(text: &str) -> Result<Address, NotationError> {
-        Address::parse(text).ok_or(NotationError::Address { form: FORM })
-    }
-
-    fn writable(text: &str) -> Result<Address, NotationError> {
-        let address = Addresses::find(text)?;
-        if address.target.can_be_written() {
-            Ok(address)
-        } else {
-            Err(NotationError::ReadOnly { instead: READ_ONLY })
-        }
+    match text.strip_prefix("0x") {
+        Some(digits) => u16::try_from(hexadecimal(digits)?).ok(),
+        None => decimal(text),
     }
 }
 
@@ -326,62 +203,24 @@ impl Notation for Addresses {
         super::PROTOCOL
     }
 
-    fn read(&self, address: &str) -> Result<Call, NotationError> {
-        let address = Addresses::find(address)?;
-        match address.target.can_be_read() {
-            true => Ok(address.target.read()),
+    fn place(&self, address: &str) -> Result<Place, NotationError> {
+        let Address { target, values } =
+            Address::parse(address).ok_or(NotationError::Address { form: FORM })?;
+        let read = match target.can_be_read() {
+            true => Ok(target.read()),
             false => Err(NotationError::Address { form: ONLY_WRITTEN }),
-        }
-    }
-
-    fn write(&self, address: &str, value: u64) -> Result<Call, NotationError> {
-        let address = Addresses::writable(address)?;
-        if address.is_attribute()
-            && !matches!(address.shape, Shape::Number { of: Integer { bits: 64, .. }, .. })
-        {
-            // A call has eight bytes, and an attribute its own size: it goes in parts, and never by this one alone.
-            return Ok(Service::Store(address.target, 0).into());
-        }
-        match address.number_of(value) {
-            Some(number) => Ok(address.target.write(address.shape.raw(number))),
-            None => Err(NotationError::Value { value: value.to_string(), form: address.form() }),
-        }
-    }
-
-    fn value(&self, address: &str, text: &str) -> Result<u64, NotationError> {
-        let address = Addresses::writable(address)?;
-        if matches!(address.shape, Shape::Text | Shape::Octets) {
-            let wrong = || NotationError::Value { value: text.to_owned(), form: address.form() };
-            return address.bytes(text).map(|bytes| long::raw(&bytes)).ok_or_else(wrong);
-        }
-        address.number(text).map(|number| address.shape.raw(number))
-    }
-
-    fn number(&self, address: &str, raw: u64) -> i64 {
-        Address::parse(address).map_or(raw as i64, |address| address.shape.value(raw))
-    }
-
-    fn show(&self, address: &str, raw: u64) -> String {
-        let Some(Address { shape, .. }) = Address::parse(address) else {
-            return format!("{raw} (0x{raw:X})");
         };
-        let (number, bits) = (shape.value(raw), shape.raw(raw as i64));
-        let io = |code: i64| IoCode::from_code(code as u16).map(|io| io.to_string());
-        let means = match shape {
-            Shape::Number { quantity, .. } => quantity.map(|quantity| quantity.show(number)),
-            Shape::Io => io(number),
-            Shape::TwoIos => {
-                io(number).zip(io(number >> 16)).map(|(first, second)| format!("{first}/{second}"))
+        let write = match target {
+            _ if !target.can_be_written() => Err(NotationError::ReadOnly { instead: READ_ONLY }),
+            // A call has eight bytes, and an attribute its own size.
+            Target::Attribute { .. }
+                if !matches!(values, Values::Counts(_)) || values.integer().bits < 64 =>
+            {
+                Ok(Service::Store(target, 0).into())
             }
-            Shape::Text => return text(&raw.to_le_bytes()),
-            Shape::Octets => return long::octets(&raw.to_le_bytes()),
+            _ => Ok(target.write(0)),
         };
-        shown(means, number, bits)
-    }
-
-    fn quantity(&self, address: &str) -> Option<Quantity> {
-        let Shape::Number { quantity, .. } = Address::parse(address)?.shape else { return None };
-        quantity
+        Ok(Place { read, write, values })
     }
 
     fn reason(&self, status: u32) -> String {
@@ -399,30 +238,9 @@ impl Notation for Addresses {
         }
     }
 
-    fn read_long(&self, carrier: &dyn Carrier, address: &str) -> Option<Result<(u64, String), CallError>> {
-        let is_long = |address: &Address| matches!(address.shape, Shape::Text | Shape::Octets);
-        let address = Address::parse(address).filter(is_long)?;
-        let read = long::read(carrier, address.target.pack(), self.limit(&address.target.read()));
-        Some(read.map(|bytes| {
-            let shown = if address.shape == Shape::Text { text(&bytes) } else { long::octets(&bytes) };
-            (long::raw(&bytes), shown)
-        }))
-    }
-
-    fn write_long(&self, address: &str, text: &str) -> Option<Vec<Call>> {
-        let address = Address::parse(address).filter(Address::is_attribute)?;
-        Some(long::write(address.target.pack(), &address.bytes(text)?))
-    }
-
     fn list(&self, wanted: &Wanted<'_>) -> Result<Listing, ListError> {
         list::list(wanted)
     }
-}
-
-/// The characters behind the byte with their number.
-fn text(bytes: &[u8]) -> String {
-    let Some((length, rest)) = bytes.split_first() else { return String::new() };
-    long::text(rest.get(..usize::from(*length)).unwrap_or(rest))
 }
 
 #[cfg(test)]

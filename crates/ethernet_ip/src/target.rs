@@ -1,6 +1,6 @@
 //! What an acyclic call to a drive does: its [`Service`], which is its numbers and back, and the meaning of its status.
 //!
-//! | target | [`Read`](Service::Read) | [`Write`](Service::Write) | value |
+//! | target | [`Read`](long::Service::Read) | [`Write`](long::Service::Write) | value |
 //! |---|---|---|---|
 //! | [`Parameter`](Target::Parameter) | yes, unless of the flash memory | unless `opcodes::PARAMETERS` says read-only | 16 bits, 0 above them |
 //! | [`Register`](Target::Register) | yes | yes | 32 bits, 0 above them |
@@ -15,9 +15,10 @@
 //!
 //! Reading returns the value. Writing an attribute returns what was written; every other write returns the drive's
 //! status word (see `wire::assembly::status`) as the value. A read of an attribute of more than eight bytes returns the
-//! first of them, and the rest by [`Size`](Service::Size) and [`Part`](Service::Part)s of the same series ([`long::read`]).
-//! An attribute of any other length than eight bytes is written by [`Load`](Service::Load)s and a
-//! [`Store`](Service::Store) ([`long::write()`]).
+//! first of them, and the rest by [`Size`](long::Service::Size) and [`Part`](long::Service::Part)s of the same series
+//! ([`long::read`]).
+//! An attribute of any other length than eight bytes is written by [`Load`](long::Service::Load)s and a
+//! [`Store`](long::Service::Store) ([`long::write()`]).
 //!
 //! The status of an answer is 0. That of a refusal is the drive's own, see [`refusal`], or one of the master's, from
 //! [`NO_CALL`] on; [`reason`] has the words.
@@ -27,7 +28,8 @@ use std::borrow::Cow;
 use super::wire::cip::Status;
 use super::wire::encapsulation;
 use super::wire::opcodes::{self, Parameter};
-use fieldbeat_core::axis::acyclic::{Call, CallError, Commanding, long};
+use fieldbeat_core::axis::acyclic::long;
+use fieldbeat_core::axis::acyclic::{Call, CallError, Commanding};
 
 /// In a status of the drive's own: bits 8 to 23 are the extended status.
 const EXTENDED: u32 = 1 << 24;
@@ -46,51 +48,7 @@ pub const NOT_READ: u32 = NO_CALL + 3;
 pub const NOT_LOADED: u32 = NO_CALL + 4;
 
 /// What a call does.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Service {
-    /// Reads it.
-    Read(Target),
-    /// Writes this value to it; the operand of a command as an `i64`.
-    Write(Target, u64),
-    /// Returns how many bytes were read of it before.
-    Size(Target),
-    /// Returns eight of those bytes, from this one on.
-    Part(Target, u64),
-    /// Hands over the next eight bytes for it.
-    Load(Target, u64),
-    /// Writes so many of the bytes that were handed over to it.
-    Store(Target, u64),
-}
-
-impl From<Service> for Call {
-    fn from(service: Service) -> Call {
-        let (service, target, value) = match service {
-            Service::Read(target) => (long::READ, target, 0),
-            Service::Write(target, value) => (long::WRITE, target, value),
-            Service::Size(target) => (long::SIZE, target, 0),
-            Service::Part(target, at) => (long::PART, target, at),
-            Service::Load(target, bytes) => (long::LOAD, target, bytes),
-            Service::Store(target, length) => (long::STORE, target, length),
-        };
-        Call { service, address: target.pack(), value }
-    }
-}
-
-impl Service {
-    /// That of a call; `None`: there is no such call to a drive.
-    pub fn of(call: &Call) -> Option<Service> {
-        let (target, value) = (Target::unpack(call.address)?, call.value);
-        Some(match call.service {
-            long::READ => Service::Read(target),
-            long::WRITE => Service::Write(target, value),
-            long::SIZE => Service::Size(target),
-            long::PART => Service::Part(target, value),
-            long::LOAD => Service::Load(target, value),
-            long::STORE => Service::Store(target, value),
-            _ => return None,
-        })
-    }
-}
+pub type Service = long::Service<Target>;
 
 /// What a call reads or writes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -144,27 +102,8 @@ pub enum Target {
 /// byte of their kind.
 const IS_ATTRIBUTE: u32 = 1 << 31;
 
-impl Target {
-    /// The highest class. The public ones end at 0xFF, a vendor's at 0x4FF.
-    pub(crate) const CLASS_MAX: u16 = 0x7FF;
-    /// The highest instance.
-    pub(crate) const INSTANCE_MAX: u16 = 0x3FF;
-    /// The highest attribute.
-    pub(crate) const ATTRIBUTE_MAX: u16 = 0x3FF;
-
-    /// The vendor: every device has it.
-    pub const VENDOR: Target = Target::Attribute { class: 1, instance: 1, attribute: 1 };
-
-    /// An attribute; `None`: its numbers are above the highest.
-    pub fn attribute(class: u16, instance: u16, attribute: u16) -> Option<Target> {
-        let fits = class <= Target::CLASS_MAX
-            && instance <= Target::INSTANCE_MAX
-            && attribute <= Target::ATTRIBUTE_MAX;
-        fits.then_some(Target::Attribute { class, instance, attribute })
-    }
-
-    /// As the address of a call.
-    pub fn pack(self) -> u32 {
+impl long::Target for Target {
+    fn pack(self) -> u32 {
         let bytes = match self {
             Target::Attribute { class, instance, attribute } => {
                 let [class, instance, attribute] = [class, instance, attribute].map(u32::from);
@@ -186,8 +125,7 @@ impl Target {
         u32::from_be_bytes(bytes)
     }
 
-    /// From the address of a call; `None`: it is invalid.
-    pub fn unpack(address: u32) -> Option<Target> {
+    fn unpack(address: u32) -> Option<Target> {
         if address & IS_ATTRIBUTE != 0 {
             let (class, instance) = (address >> 20 & 0x7FF, address >> 10 & 0x3FF);
             // Masked to their bits.
@@ -209,15 +147,25 @@ impl Target {
             _ => return None,
         })
     }
+}
 
-    /// The call that reads it.
-    pub fn read(self) -> Call {
-        Service::Read(self).into()
-    }
+impl Target {
+    /// The highest class. The public ones end at 0xFF, a vendor's at 0x4FF.
+    pub(crate) const CLASS_MAX: u16 = 0x7FF;
+    /// The highest instance.
+    pub(crate) const INSTANCE_MAX: u16 = 0x3FF;
+    /// The highest attribute.
+    pub(crate) const ATTRIBUTE_MAX: u16 = 0x3FF;
 
-    /// The call that writes this value to it; the operand of a command as an `i64`.
-    pub fn write(self, value: u64) -> Call {
-        Service::Write(self, value).into()
+    /// The vendor: every device has it.
+    pub const VENDOR: Target = Target::Attribute { class: 1, instance: 1, attribute: 1 };
+
+    /// An attribute; `None`: its numbers are above the highest.
+    pub fn attribute(class: u16, instance: u16, attribute: u16) -> Option<Target> {
+        let fits = class <= Target::CLASS_MAX
+            && instance <= Target::INSTANCE_MAX
+            && attribute <= Target::ATTRIBUTE_MAX;
+        fits.then_some(Target::Attribute { class, instance, attribute })
     }
 
     /// The parameter that it is.
@@ -277,12 +225,7 @@ pub fn commanding() -> Commanding {
 /// Why a call of the application is refused while the power of its drive is on: it writes something that is not known
 /// to be harmless.
 fn commands(call: &Call, _mapped: &[u32]) -> Option<CallError> {
-    match Service::of(call)? {
-        Service::Write(target, _) | Service::Store(target, _) => {
-            (!target.is_harmless()).then_some(CallError::Commands)
-        }
-        _ => None,
-    }
+    (!Service::written(call)?.is_harmless()).then_some(CallError::Commands)
 }
 
 /// The status of a call that the drive refused, from its CIP status: the general one in bits 0 to 7, an extended one in
@@ -324,6 +267,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
+    use fieldbeat_core::axis::acyclic::long::Target as _;
 
     const ATTRIBUTE: Target = Target::Attribute { class: 0x7FF, instance: 0x3FF, attribute: 0x3FF };
 

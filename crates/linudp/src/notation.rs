@@ -3,10 +3,10 @@
 use std::time::Duration;
 
 use super::service::{ServiceError, Services};
-use super::upid::{Known, Type, Upid, Usage, Variant, address, call};
+use super::upid::{Known, RtcCall, Type, Upid, Usage, Variant, address, call};
 use super::wire::{Refusal, RtcCommand};
 use fieldbeat_core::axis::acyclic::{
-    Call, ListError, Listed, Listing, Notation, NotationError, Quantity, Wanted, go_on, shown,
+    Call, Counts, ListError, Listed, Listing, Notation, NotationError, Place, Values, Wanted, go_on, shown,
 };
 
 const FORM: &str =
@@ -23,10 +23,6 @@ const FLASH_LIMIT: Duration = Duration::from_secs(20);
 pub struct Upids;
 
 impl Upids {
-    fn find(text: &str) -> Result<(Upid, Variant), NotationError> {
-        address(text).ok_or(NotationError::Address { form: FORM })
-    }
-
     fn known(text: &str) -> Option<&'static Known> {
         address(text)?.0.known()
     }
@@ -37,53 +33,41 @@ impl Notation for Upids {
         super::PROTOCOL
     }
 
-    fn read(&self, address: &str) -> Result<Call, NotationError> {
-        let (upid, variant) = Upids::find(address)?;
+    fn place(&self, text: &str) -> Result<Place, NotationError> {
+        let (upid, variant) = address(text).ok_or(NotationError::Address { form: FORM })?;
+        let known = upid.known();
+        let of = known.map_or(Type::U32, |known| known.kind).integer();
+        let counts = Counts {
+            // One that is not known may be of either sign: the bits are the same.
+            range: known.map_or((i32::MIN.into(), u32::MAX.into()), |_| of.range()),
+            quantity: known.map(|known| known.quantity).filter(|quantity| !quantity.unit.is_empty()),
+            ..Counts::all(of)
+        };
         // A value written to both reads the same from either.
-        let command = variant.read().unwrap_or(RtcCommand::READ_RAM);
-        Ok(call(command, upid.0, 0))
+        let read = variant.read().unwrap_or(RtcCommand::READ_RAM);
+        let instead = "the UPID itself, .rom or .both";
+        let write = variant.write().ok_or(NotationError::ReadOnly { instead });
+        Ok(Place {
+            read: Ok(call(read, upid.0, 0)),
+            write: write.map(|command| call(command, upid.0, 0)),
+            values: Values::Counts(counts),
+        })
     }
 
+    /// The drive checks the value.
     fn write(&self, address: &str, value: u64) -> Result<Call, NotationError> {
-        let (upid, variant) = Upids::find(address)?;
-        let instead = "the UPID itself, .rom or .both";
-        let command = variant.write().ok_or(NotationError::ReadOnly { instead })?;
+        let call = RtcCall::of(&self.place(address)?.write?);
         let value = u32::try_from(value).map_err(|_| NotationError::Value {
             value: value.to_string(),
             form: "a number of 32 bits".to_owned(),
         })?;
-        Ok(call(command, upid.0, value))
+        Ok(RtcCall { value, ..call }.into())
     }
 
     fn value(&self, address: &str, text: &str) -> Result<u64, NotationError> {
-        let (upid, _) = Upids::find(address)?;
-        let kind = upid.known().map(|known| known.kind);
-        // One that is not known may be of either sign: the bits are the same.
-        let (low, high) = kind.map_or((i32::MIN.into(), u32::MAX.into()), Type::range);
-        let number = match (text, text.strip_prefix("0x")) {
-            ("true", _) => Some(1),
-            ("false", _) => Some(0),
-            // The bits as they stand. Those that the type does not have are out of its range.
-            (_, Some(digits)) if !digits.starts_with(['+', '-']) => {
-                let bits = i64::from_str_radix(digits, 16).ok();
-                let raw = bits.and_then(|bits| u32::try_from(bits).ok());
-                kind.zip(raw).and_then(|(kind, raw)| kind.strict_number(raw)).or(bits)
-            }
-            _ => text.parse().ok(),
-        };
-        match number {
-            // Cut to 32 bits, as a signed value is sent.
-            Some(number) if (low..=high).contains(&number) => Ok(u64::from(number as u32)),
-            Some(_) => Err(NotationError::Range { value: text.to_owned(), low, high }),
-            None => Err(NotationError::Value {
-                value: text.to_owned(),
-                form: format!("a whole number, {low} ... {high}, or its bits as 0x..."),
-            }),
-        }
-    }
-
-    fn number(&self, address: &str, raw: u64) -> i64 {
-        Upids::known(address).map_or(Type::U32, |known| known.kind).number(raw as u32)
+        let values = self.place(address)?.values;
+        // Cut to 32 bits, as a signed value is sent.
+        Ok(u64::from(values.number(values.raw(text)?) as u32))
     }
 
     fn show(&self, text: &str, raw: u64) -> String {
@@ -103,17 +87,13 @@ impl Notation for Upids {
         }
     }
 
-    fn quantity(&self, text: &str) -> Option<Quantity> {
-        Some(Upids::known(text)?.quantity).filter(|quantity| !quantity.unit.is_empty())
-    }
-
     fn reason(&self, status: u32) -> String {
         // The channel refuses with a status byte.
         Refusal::of(status as u8).to_string()
     }
 
     fn limit(&self, call: &Call) -> Duration {
-        match RtcCommand(call.service as u8) {
+        match RtcCall::of(call).command {
             RtcCommand::WRITE_ROM | RtcCommand::WRITE_BOTH => FLASH_LIMIT,
             _ => RAM_LIMIT,
         }
@@ -139,8 +119,7 @@ impl Notation for Upids {
 
     fn list(&self, wanted: &Wanted<'_>) -> Result<Listing, ListError> {
         if let Some(menu) = wanted.part {
-            let drive = wanted.drive;
-            return Err(ListError::Wanted(format!("drive {drive} has no menus; leave {menu} out")));
+            return Err(wanted.refused(&format!("has no menus; leave {menu} out")));
         }
         let from = wanted.from.unwrap_or("0x0000");
         let Some(first) = Upid::parse(from) else {

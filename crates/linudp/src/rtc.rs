@@ -10,7 +10,7 @@
 mod monitor;
 
 use self::monitor::Monitor;
-use super::upid::Upid;
+use super::upid::{RtcCall, Upid};
 use super::wire::{RtcBlock, RtcCommand, RtcStatus};
 use fieldbeat_core::axis::Link;
 use fieldbeat_core::axis::acyclic::{Answer, Call, CallError, Port, Posted};
@@ -117,9 +117,8 @@ impl Active {
     }
 
     fn block(&self) -> RtcBlock {
-        let call = &self.posted.call;
-        // The services of this channel have a byte, an index of 16 and a value of 32 bits.
-        RtcBlock::call(self.count, self.command, call.address as u16, call.value as u32)
+        let RtcCall { index, value, .. } = RtcCall::of(&self.posted.call);
+        RtcBlock::call(self.count, self.command, index, value)
     }
 }
 
@@ -149,10 +148,10 @@ fn needs_power_off(command: RtcCommand) -> bool {
 /// Why a call of the application is refused while the power of its drive is on. A table that runs goes on with
 /// whatever stands in it, and so does a curve; a new curve is used by nothing yet.
 pub(super) fn refusal(call: &Call) -> Option<CallError> {
-    let command = RtcCommand(call.service as u8);
+    let RtcCall { command, index, .. } = RtcCall::of(call);
     match command {
         command if needs_power_off(command) => Some(CallError::Powered),
-        RtcCommand::WRITE_RAM if Upid(call.address as u16).is_harmless() => None,
+        RtcCommand::WRITE_RAM if Upid(index).is_harmless() => None,
         RtcCommand::WRITE_RAM
         | RtcCommand::START_SOFTWARE
         | RtcCommand::DELETE_CURVES
@@ -289,7 +288,7 @@ impl RtcChannel {
         let own = if first.is_some() { None } else { self.monitor.next() };
         let own_call = own.map(|call| Posted { limit_ns: OWN_LIMIT_NS, call, ..Posted::default() });
         let Some(posted) = first.or(own_call).or_else(|| self.calls.take()) else { return };
-        let command = RtcCommand(posted.call.service as u8);
+        let command = RtcCall::of(&posted.call).command;
         if self.forgotten && goes_on(command) {
             return self.calls.end(&posted, Err(CallError::Restarted));
         }
@@ -413,7 +412,7 @@ impl RtcChannel {
             }
             RtcStatus::Refused(refusal) => self.end(Err(CallError::Refused(refusal.code().into()))),
             RtcStatus::Done | RtcStatus::BlockNotFinished | RtcStatus::Other(_) => {
-                let requested = active.posted.call.address as u16;
+                let requested = RtcCall::of(&active.posted.call).index;
                 if !repeats_index(active.command) || block.index() == requested {
                     self.end(Ok(answer));
                 }

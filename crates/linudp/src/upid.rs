@@ -13,7 +13,7 @@
 pub use super::motion::Upid;
 use super::rtc;
 use super::wire::RtcCommand;
-use fieldbeat_core::axis::acyclic::{Call, Commanding, Quantity, Scale};
+use fieldbeat_core::axis::acyclic::{Call, Commanding, Integer, Quantity, Scale, hexadecimal};
 
 /// The calls that command a drive.
 pub(super) fn commanding() -> Commanding {
@@ -47,7 +47,7 @@ impl Upid {
     pub fn parse(text: &str) -> Option<Upid> {
         let hex = text.strip_prefix("0x").or_else(|| text.strip_prefix("0X"));
         let hex = hex.or_else(|| text.strip_suffix('h').or_else(|| text.strip_suffix('H')));
-        match hex.filter(|digits| !digits.starts_with('+')).map(|digits| u16::from_str_radix(digits, 16)) {
+        match hex.and_then(hexadecimal).map(u16::try_from) {
             Some(Ok(upid)) => Some(Upid(upid)),
             _ => KNOWN.iter().find(|known| known.name == text).map(|known| known.upid),
         }
@@ -82,9 +82,9 @@ pub enum Type {
 }
 
 impl Type {
-    /// Bits of a value, and whether it has a sign.
-    const fn shape(self) -> (u32, bool) {
-        match self {
+    /// The numbers of its values.
+    pub const fn integer(self) -> Integer {
+        let (bits, signed) = match self {
             Type::Bool => (1, false),
             Type::U8 => (8, false),
             Type::S8 => (8, true),
@@ -92,37 +92,28 @@ impl Type {
             Type::S16 => (16, true),
             Type::U32 | Type::Text => (32, false),
             Type::S32 => (32, true),
-        }
+        };
+        Integer { bits, signed }
     }
 
     /// The lowest and the highest value.
     pub const fn range(self) -> (i64, i64) {
-        match self.shape() {
-            (bits, true) => (-(1 << (bits - 1)), (1 << (bits - 1)) - 1),
-            (bits, false) => (0, (1 << bits) - 1),
-        }
+        self.integer().range()
     }
 
     /// The value of a raw one: smaller types are in the low bits. The other bits are not documented.
     pub const fn number(self, raw: u32) -> i64 {
-        let (bits, signed) = self.shape();
-        let above = 32 - bits;
-        match signed {
-            true => ((raw << above) as i32 >> above) as i64,
-            false => (raw << above >> above) as i64,
-        }
+        self.integer().number(raw as u64)
     }
 
     /// The same; `None` if the bits above are neither 0 nor the sign.
     pub fn strict_number(self, raw: u32) -> Option<i64> {
-        let (value, above) = (self.number(raw), 32 - self.shape().0);
-        (raw == value as u32 || raw == raw << above >> above).then_some(value)
+        self.integer().number_within(raw.into(), self.range())
     }
 
     /// The raw form of a value: its bits, and above them 0, or its sign if `extend`.
     pub const fn raw(self, value: i64, extend: bool) -> u32 {
-        let above = 32 - self.shape().0;
-        if extend { value as u32 } else { (value as u32) << above >> above }
+        if extend { value as u32 } else { self.integer().raw(value) as u32 }
     }
 }
 
@@ -324,7 +315,31 @@ pub fn address(text: &str) -> Option<(Upid, Variant)> {
     Some((Upid::parse(upid)?, *variant))
 }
 
-/// A call on the real-time-config channel: command, word 2, words 3 and 4.
+/// A call on the real-time-config channel.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct RtcCall {
+    /// The command.
+    pub command: RtcCommand,
+    /// Word 2: a UPID, a curve, an entry.
+    pub index: u16,
+    /// Words 3 and 4.
+    pub value: u32,
+}
+
+impl RtcCall {
+    /// That of a call, which has room for more.
+    pub const fn of(&Call { service, address, value }: &Call) -> RtcCall {
+        RtcCall { command: RtcCommand(service as u8), index: address as u16, value: value as u32 }
+    }
+}
+
+impl From<RtcCall> for Call {
+    fn from(RtcCall { command, index, value }: RtcCall) -> Call {
+        call(command, index, value)
+    }
+}
+
+/// The call with this command, word 2, and words 3 and 4.
 pub const fn call(command: RtcCommand, index: u16, value: u32) -> Call {
     Call { service: command.0 as u32, address: index as u32, value: value as u64 }
 }

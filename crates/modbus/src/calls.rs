@@ -5,7 +5,7 @@ use super::notation::{NOT_TAKEN, Service, Target, UNREACHABLE};
 use super::parameter::{Addressing, Parameter, Width};
 use super::wire::{REGISTERS_MAX, Registers, RegistersBuffer, Request, Response};
 use fieldbeat_core::axis::Link;
-use fieldbeat_core::axis::acyclic::long;
+use fieldbeat_core::axis::acyclic::long::{self, Target as _};
 use fieldbeat_core::axis::acyclic::{Answer, Call, CallError, Commanding, Port, Posted};
 use fieldbeat_core::bus;
 use fieldbeat_core::rt::Regions;
@@ -31,9 +31,9 @@ pub(super) fn commanding(mapped: impl IntoIterator<Item = Parameter>) -> Command
 /// exchanged, or none that is known to be harmless. Of a block none is written then.
 fn refusal(call: &Call, mapped: &[u32]) -> Option<CallError> {
     let (target, written, several) = match Service::of(call)? {
-        Service::Read(_) | Service::ReadSeveral(..) => return None,
         Service::Write(target, _) => (target, 1, false),
         Service::Store(target, bytes) => (target, bytes.div_ceil(target.width.bytes() as u64), true),
+        _ => return None,
     };
     let commands = |place: &u64| {
         let parameter = u8::try_from(*place).ok().and_then(|place| target.parameter.offset(place));
@@ -140,6 +140,7 @@ impl Calls {
                 }
                 (target, (bytes / each) as u64)
             }
+            _ => return None,
         };
         let each = target.width.registers();
         let registers = u16::try_from(parameters).ok()?.checked_mul(each);
@@ -156,11 +157,9 @@ impl Calls {
         let Active { posted, service, target, address, registers, .. } = self.active?;
         let unit = target.parameter.unit(drive);
         match service {
-            Service::Read(_) | Service::ReadSeveral(..) => {
-                return Some((unit, Request::Read { address, count: registers }));
-            }
-            Service::Write(_, raw) => data.push_raw(target.width, raw),
+            Service::Write(_, raw) => data.push_raw(target.width, raw as u32),
             Service::Store(..) => data.push_all(self.calls.loaded(&posted).and_then(Registers::new)?),
+            _ => return Some((unit, Request::Read { address, count: registers })),
         };
         Some((unit, Request::Write { address, data: data.registers() }))
     }
@@ -182,7 +181,7 @@ impl Calls {
     /// Whether this response can be that of the call that was sent.
     pub(super) fn fits(&self, response: &Response<'_>) -> bool {
         let Some(active) = self.active.filter(|active| active.sent) else { return true };
-        let writes = matches!(active.service, Service::Write(..) | Service::Store(..));
+        let writes = active.service.writes();
         match *response {
             Response::Exception { .. } => true,
             Response::Read { data } => !writes && data.len() == usize::from(active.registers),

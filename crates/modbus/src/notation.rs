@@ -16,16 +16,17 @@
 //! Parameters of one menu that follow one another are read or written in one request: a [`Block`], with the services of
 //! `long`, and their values as in a message.
 //!
-//! A [`Call`] is a [`Service`]. The status of its answer is 0, the drive's exception code, or one of [`NOT_TAKEN`] and
+//! A call is a [`Service`]. The status of its answer is 0, the drive's exception code, or one of [`NOT_TAKEN`] and
 //! [`UNREACHABLE`].
 
 mod list;
 
 use super::parameter::{Parameter, SLOT_MAX, Width, catalogue};
 use super::wire::{ExceptionCode, REGISTERS_MAX};
-use fieldbeat_core::axis::acyclic::long::{READ, READ_SEVERAL, STORE, WRITE};
+use fieldbeat_core::axis::acyclic::long::{self, Target as _};
 use fieldbeat_core::axis::acyclic::{
-    Block, Call, ListError, Listing, Notation, NotationError, Quantity, Wanted, bits, count, shown, within,
+    Block, Counts, Integer, ListError, Listing, Notation, NotationError, Place, Quantity, Values, Wanted,
+    Words,
 };
 
 /// A status above those of the drive: it wrote fewer registers than it received, its silent refusal (Commander SE
@@ -44,9 +45,9 @@ pub struct Target {
     pub width: Width,
 }
 
-impl Target {
-    /// As the address of a call: width (0 = 16 bits, 1 = 32), slot, menu, number, a byte each.
-    pub const fn pack(self) -> u32 {
+/// Packed: width (0 = 16 bits, 1 = 32), slot, menu, number, a byte each.
+impl long::Target for Target {
+    fn pack(self) -> u32 {
         let Parameter { slot, menu, number } = self.parameter;
         let width = match self.width {
             Width::Word => 0,
@@ -55,8 +56,7 @@ impl Target {
         u32::from_be_bytes([width, slot, menu, number])
     }
 
-    /// From the address of a call; `None`: it is invalid.
-    pub const fn unpack(address: u32) -> Option<Target> {
+    fn unpack(address: u32) -> Option<Target> {
         let [width, slot, menu, number] = address.to_be_bytes();
         let width = match width {
             0 => Width::Word,
@@ -68,7 +68,9 @@ impl Target {
         }
         Some(Target { parameter: Parameter { slot, menu, number }, width })
     }
+}
 
+impl Target {
     /// As people write it.
     pub fn parse(text: &str) -> Option<Target> {
         let (parameter, width) = Target::parts(text)?;
@@ -86,62 +88,14 @@ impl Target {
         Some((parameter, width))
     }
 
-    /// Whether its values have a sign. Those of unknown parameters do, as most have.
-    fn signed(self) -> bool {
-        self.parameter.known().is_none_or(|known| known.signed)
-    }
-
-    fn number(self, raw: u32) -> i64 {
-        self.width.number(raw, self.signed())
-    }
-
-    /// The value of bits as people write them. Bits that this width does not have are out of its range.
-    fn of_bits(self, bits: u64) -> i64 {
-        match u32::try_from(bits) {
-            Ok(raw) if self.width.raw(raw.into()) == raw => self.number(raw),
-            _ => i64::try_from(bits).unwrap_or(i64::MAX),
-        }
+    /// The type of its values. Those of unknown parameters have a sign, as most have.
+    fn integer(self) -> Integer {
+        self.width.integer(self.parameter.known().is_none_or(|known| known.signed))
     }
 }
 
-/// What a call asks of the drive. Other services are answered without it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Service {
-    /// Reads a parameter.
-    Read(Target),
-    /// Writes the raw bits of a count.
-    Write(Target, u32),
-    /// Reads so many parameters in a row.
-    ReadSeveral(Target, u64),
-    /// Writes parameters in a row, so many bytes that were handed over before.
-    Store(Target, u64),
-}
-
-impl Service {
-    /// That of a call; `None`: the drive is not asked, or the address is invalid.
-    pub fn of(&Call { service, address, value }: &Call) -> Option<Service> {
-        let target = Target::unpack(address)?;
-        Some(match service {
-            READ => Service::Read(target),
-            WRITE => Service::Write(target, value as u32),
-            READ_SEVERAL => Service::ReadSeveral(target, value),
-            STORE => Service::Store(target, value),
-            _ => return None,
-        })
-    }
-}
-
-impl From<Service> for Call {
-    fn from(service: Service) -> Call {
-        let (service, target, value) = match service {
-            Service::Read(target) => (READ, target, 0),
-            Service::Write(target, raw) => (WRITE, target, raw.into()),
-            Service::ReadSeveral(target, count) => (READ_SEVERAL, target, count),
-            Service::Store(target, bytes) => (STORE, target, bytes),
-        };
-        Call { service, address: target.pack(), value }
-    }
-}
+/// What a call asks of the drive.
+pub type Service = long::Service<Target>;
 
 /// The width of a parameter, if it is known here; else 32 bits.
 fn own_width(parameter: Parameter) -> Width {
@@ -164,69 +118,33 @@ const FORM: &str = "06.042, with three digits behind the point, slot.06.042 or a
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Parameters;
 
-impl Parameters {
-    fn find(text: &str) -> Result<Target, NotationError> {
-        Target::parse(text).ok_or(NotationError::Address { form: FORM })
-    }
-}
+/// Counts have no words of their own; their form names those that all counts have.
+static COUNTS: Words = Words {
+    parse: |_| None,
+    show: |_| None,
+    form: |low, high| format!("a whole number, {low} ... {high}, its bits as 0x..., true or false"),
+};
 
 impl Notation for Parameters {
     fn protocol(&self) -> &'static str {
         super::PROTOCOL
     }
 
-    fn read(&self, address: &str) -> Result<Call, NotationError> {
-        Parameters::find(address).map(|target| Service::Read(target).into())
-    }
-
-    fn write(&self, address: &str, value: u64) -> Result<Call, NotationError> {
-        let target = Parameters::find(address)?;
-        let width = target.width;
-        // A value of 16 bits may come with its sign above them.
-        let fits =
-            |raw: u32| width.raw(raw.into()) == raw || width.number(raw, true) == i64::from(raw as i32);
-        match u32::try_from(value) {
-            Ok(raw) if fits(raw) => Ok(Service::Write(target, width.raw(raw.into())).into()),
-            _ => {
-                let form = format!("a number of {} bits", width.bits());
-                Err(NotationError::Value { value: value.to_string(), form })
-            }
-        }
-    }
-
-    fn value(&self, address: &str, text: &str) -> Result<u64, NotationError> {
-        let target = Parameters::find(address)?;
-        let known = target.parameter.known();
-        let number = match text.strip_prefix("0x") {
-            Some(digits) => bits(digits).map(|raw| target.of_bits(raw)),
-            None => count(text),
+    fn place(&self, address: &str) -> Result<Place, NotationError> {
+        let target = Target::parse(address).ok_or(NotationError::Address { form: FORM })?;
+        let (of, known) = (target.integer(), target.parameter.known());
+        let counts = Counts {
+            range: match known {
+                Some(_) => of.range(),
+                // Of whatever sign: the bits are the same.
+                None => (target.width.range(true).0, target.width.range(false).1),
+            },
+            quantity: known.and_then(|known| Quantity::decimals(known.decimals, known.unit)),
+            words: Some(&COUNTS),
+            by_bits: true,
+            ..Counts::all(of)
         };
-        let (low, high) = match known {
-            Some(known) => target.width.range(known.signed),
-            // Of whatever sign: the bits are the same.
-            None => (target.width.range(true).0, target.width.range(false).1),
-        };
-        let number = within(number, (low, high), text, || form(low, high))?;
-        Ok(target.width.raw(number).into())
-    }
-
-    fn number(&self, address: &str, raw: u64) -> i64 {
-        match Target::parse(address) {
-            Some(target) => target.number(raw as u32),
-            None => i64::from(raw as u32),
-        }
-    }
-
-    fn show(&self, address: &str, raw: u64) -> String {
-        let Some(target) = Target::parse(address) else { return format!("{raw} (0x{raw:X})") };
-        let raw = target.width.raw(i64::from(raw as u32));
-        let number = target.number(raw);
-        shown(self.quantity(address).map(|quantity| quantity.show(number)), number, raw.into())
-    }
-
-    fn quantity(&self, address: &str) -> Option<Quantity> {
-        let known = Target::parse(address)?.parameter.known()?;
-        Quantity::decimals(known.decimals, known.unit)
+        Ok(Place::of(target, Values::Counts(counts)))
     }
 
     fn reason(&self, status: u32) -> String {
@@ -273,11 +191,6 @@ impl Notation for Parameters {
     fn list(&self, wanted: &Wanted<'_>) -> Result<Listing, ListError> {
         list::list(wanted)
     }
-}
-
-/// The correct form.
-fn form(low: i64, high: i64) -> String {
-    format!("a whole number, {low} ... {high}, its bits as 0x..., true or false")
 }
 
 #[cfg(test)]

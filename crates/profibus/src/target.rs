@@ -14,7 +14,7 @@ use super::wire::errors::ErrorNumber;
 use super::wire::fc;
 pub use super::wire::job::Kind;
 use super::wire::msac1::{Record, Refusal};
-use fieldbeat_core::axis::acyclic::long::{READ, STORE, WRITE};
+use fieldbeat_core::axis::acyclic::long::{self, Target as _};
 use fieldbeat_core::axis::acyclic::{Call, CallError, Commanding};
 
 /// A code of the drive.
@@ -77,9 +77,8 @@ pub enum Target {
 /// The highest byte of the address of a record.
 const RECORD: u8 = 0xFF;
 
-impl Target {
-    /// As the address of a call.
-    pub const fn pack(self) -> u32 {
+impl long::Target for Target {
+    fn pack(self) -> u32 {
         match self {
             Target::Parameter(Parameter { code, sub, kind }) => {
                 let [high, low] = code.to_be_bytes();
@@ -89,16 +88,7 @@ impl Target {
         }
     }
 
-    /// The code, if it is one.
-    pub(super) fn parameter(self) -> Option<Parameter> {
-        match self {
-            Target::Parameter(parameter) => Some(parameter),
-            Target::Record(_) => None,
-        }
-    }
-
-    /// From the address of a call; `None`: it is invalid.
-    pub fn unpack(address: u32) -> Option<Target> {
+    fn unpack(address: u32) -> Option<Target> {
         match address.to_be_bytes() {
             [RECORD, 0, slot, index] => Some(Target::Record(Record { slot, index })),
             [kind, high, low, sub] => {
@@ -109,52 +99,18 @@ impl Target {
     }
 }
 
-/// What a call asks of the drive. Other services are answered without it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Service {
-    /// Reads it.
-    Read(Target),
-    /// Writes the raw bits of a number to it.
-    Write(Target, u32),
-    /// Writes so many bytes to it that were handed over before.
-    Store(Target, u64),
-}
-
-impl Service {
-    /// That of a call; `None`: the drive is not asked, or the address is invalid.
-    pub fn of(&Call { service, address, value }: &Call) -> Option<Service> {
-        let target = Target::unpack(address)?;
-        Some(match service {
-            READ => Service::Read(target),
-            WRITE => Service::Write(target, value as u32),
-            STORE => Service::Store(target, value),
-            _ => return None,
-        })
-    }
-
-    /// It writes.
-    pub(super) fn writes(self) -> bool {
-        !matches!(self, Service::Read(_))
-    }
-
-    /// What it reads or writes.
-    pub(super) fn target(self) -> Target {
+impl Target {
+    /// The code, if it is one.
+    pub(super) fn parameter(self) -> Option<Parameter> {
         match self {
-            Service::Read(target) | Service::Write(target, _) | Service::Store(target, _) => target,
+            Target::Parameter(parameter) => Some(parameter),
+            Target::Record(_) => None,
         }
     }
 }
 
-impl From<Service> for Call {
-    fn from(service: Service) -> Call {
-        let (service, target, value) = match service {
-            Service::Read(target) => (READ, target, 0),
-            Service::Write(target, raw) => (WRITE, target, raw.into()),
-            Service::Store(target, bytes) => (STORE, target, bytes),
-        };
-        Call { service, address: target.pack(), value }
-    }
-}
+/// What a call asks of the drive.
+pub type Service = long::Service<Target>;
 
 /// The calls that command a drive.
 pub(super) fn commanding() -> Commanding {
@@ -164,9 +120,8 @@ pub(super) fn commanding() -> Commanding {
 /// Why a call of the application is refused while the power of its drive is on: it writes what is not known to be
 /// harmless.
 fn refusal(call: &Call, _mapped: &[u32]) -> Option<CallError> {
-    let service = Service::of(call)?;
     let is_harmless = |parameter: Parameter| HARMLESS.contains(&parameter.code);
-    let commands = service.writes() && !service.target().parameter().is_some_and(is_harmless);
+    let commands = !Service::written(call)?.parameter().is_some_and(is_harmless);
     commands.then_some(CallError::Commands)
 }
 
@@ -284,7 +239,7 @@ pub(super) fn reason(status: u32) -> Cow<'static, str> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use fieldbeat_core::axis::acyclic::long::{LOAD, PART};
+    use fieldbeat_core::axis::acyclic::long::{LOAD, PART, READ, STORE, WRITE};
 
     #[test]
     fn a_status_says_which_of_the_ways_refused() {

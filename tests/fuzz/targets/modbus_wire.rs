@@ -4,6 +4,7 @@
 
 use fieldbeat::bus::modbus::{Addressing, Parameter};
 use fieldbeat_core::axis::acyclic::Notation;
+use fieldbeat_core::axis::acyclic::long::Target as _;
 use fieldbeat_modbus::notation::{Parameters, Service, Target};
 use fieldbeat_modbus::wire::{
     ADU_MAX, FrameError, HEADER, Header, Registers, Request, RequestFault, Response, ResponseError, frame,
@@ -122,7 +123,7 @@ fn notation(text: &str) {
     let Ok(raw) = Parameters.value(address, value) else { return };
     let target = target.expect("a value is one of an address");
     assert_eq!(Target::unpack(target.pack()), Some(target));
-    assert_eq!(Parameters.write(address, raw), Ok(Service::Write(target, raw as u32).into()));
+    assert_eq!(Parameters.write(address, raw), Ok(Service::Write(target, raw).into()));
     let number = Parameters.number(address, raw);
     assert_eq!(Parameters.value(address, &number.to_string()), Ok(raw), "its number says the same");
     assert_eq!(Parameters.value(address, &format!("0x{raw:X}")), Ok(raw), "its bits say the same");

@@ -16,17 +16,7 @@
 
 use super::Type::{I8, I16, I32, Text, U8, U16, U32};
 use super::{Object, Type};
-
-/// The access to an object.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Access {
-    /// To read.
-    ReadOnly,
-    /// To read and to write.
-    ReadWrite,
-    /// To read, and to write in PREOP.
-    PreOp,
-}
+pub use fieldbeat_core::axis::acyclic::Rights as Access;
 
 /// The drives that have an object.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -34,6 +34,7 @@ use self::mailbox::{Mailbox, Post, Received};
 pub use self::sdo::Failure;
 use self::sdo::{End, Sdo, unusable};
 use super::counters::Own;
+use super::object::long::Target as _;
 use super::object::number::DEVICE_TYPE;
 use super::object::{self, Target, long};
 use super::plan::SlavePlan;

@@ -16,6 +16,7 @@ use fieldbeat_core::bus::Counters;
 use fieldbeat_core::rt::Regions;
 use fieldbeat_core::time::{MS, S, Time};
 use fieldbeat_ethercat::counters::Own;
+use fieldbeat_ethercat::object::long::Target as _;
 use fieldbeat_ethercat::object::number::{DEVICE_NAME as NAME, DEVICE_TYPE, MODE, STATUS_WORD};
 use fieldbeat_ethercat::object::{self, READ, Target, WRITE, long};
 use fieldbeat_ethercat::plan::{Area, SlavePlan};

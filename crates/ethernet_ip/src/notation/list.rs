@@ -3,17 +3,17 @@
 use super::{Address, NAMED, Named, names};
 use crate::target::Target;
 use crate::wire::opcodes::{self, Operand};
-use fieldbeat_core::axis::acyclic::{ListError, Listed, Listing, Notation, Wanted, read_listed};
+use fieldbeat_core::axis::acyclic::{ListError, Listed, Listing, Wanted};
 
 /// How what is `wanted` is listed.
 pub(super) fn list(wanted: &Wanted<'_>) -> Result<Listing, ListError> {
     let drive = wanted.drive;
     if wanted.modified || wanted.from.is_some() {
-        return Err(ListError::Wanted(format!(
-            "drive {drive} lists parameters, registers or commands; leave --modified and --from out"
-        )));
+        return Err(
+            wanted.refused("lists parameters, registers or commands; leave --modified and --from out")
+        );
     }
-    let mut rows: Vec<Listed> = match wanted.part {
+    let rows = match wanted.part {
         None => parameters().chain(registers()).chain(commands()).chain(others()).collect(),
         Some("parameters") => parameters().collect(),
         Some("registers") => registers().collect(),
@@ -25,13 +25,7 @@ pub(super) fn list(wanted: &Wanted<'_>) -> Result<Listing, ListError> {
             )));
         }
     };
-    Ok(match wanted.values {
-        false => Listing::Known(rows),
-        true => {
-            rows.retain(|row| super::Addresses.read(&row.address).is_ok());
-            Listing::Read(Box::new(move |access, watch| read_listed(access, watch, rows)))
-        }
-    })
+    Ok(Listing::of(rows, wanted.values))
 }
 
 fn row(address: String, name: Option<&'static str>) -> Listed {
@@ -48,7 +42,7 @@ fn usage(address: &Address) -> String {
     };
     match address.target {
         Target::Parameter { .. } | Target::Register(_) => {
-            format!("{} {access}", address.shape.integer().bits)
+            format!("{} {access}", address.values.integer().bits)
         }
         _ => access.to_owned(),
     }

@@ -5,8 +5,7 @@
 //! currents of GC and IC in 0.01 A, EG in half the steps of a revolution. Registers of the same quantities count as in
 //! the process data (assumed).
 
-use super::Shape;
-use fieldbeat_core::axis::acyclic::{Quantity, Scale};
+use fieldbeat_core::axis::acyclic::{Counts, Quantity, Scale};
 
 use crate::plan::{ACCELERATION_PER_REV, MOST_PER_REV, VELOCITY_PER_REV};
 
@@ -28,31 +27,29 @@ pub(super) const SIGNED: [&str; 6] = ["GC", "IC", "IQ", "IT", "IV actual", "IV t
 const MOST: i64 = MOST_PER_REV as i64;
 
 /// The values of a parameter or command with this name.
-pub(super) fn scaled(name: &str, shape: Shape) -> Shape {
-    let Shape::Number { of, low, high, .. } = shape else { return shape };
-    let (quantity, (low, high)) = match name {
+pub(super) fn scaled(name: &str, counts: Counts) -> Counts {
+    let (quantity, range) = match name {
         "AC" | "AM" | "DE" | "JA" | "JL" => (ACCELERATION, (1, MOST)),
         "VE" | "VC" => (VELOCITY, (1, MOST)),
         "JS" => (VELOCITY, (0, MOST)),
         "GC" => (CURRENT, (-2_000, 2_000)),
-        "IC" => (CURRENT, (low, high)),
-        "EG" => (STEPS, (low, high)),
-        _ => return shape,
+        "IC" => (CURRENT, counts.range),
+        "EG" => (STEPS, counts.range),
+        _ => return counts,
     };
-    Shape::Number { of, low, high, quantity: Some(quantity) }
+    Counts { range, quantity: Some(quantity), ..counts }
 }
 
 /// The values of a register.
-pub(super) fn scaled_register(register: u8, shape: Shape) -> Shape {
-    let Shape::Number { of, low, high, .. } = shape else { return shape };
+pub(super) fn scaled_register(register: u8, counts: Counts) -> Counts {
     let quantity = match register {
         b'A' | b'B' => ACCELERATION,
         b'V' | b'M' | b'J' | b'v' | b'w' => VELOCITY,
         b't' => TEMPERATURE,
         b'u' => VOLTAGE,
-        _ => return shape,
+        _ => return counts,
     };
-    Shape::Number { of, low, high, quantity: Some(quantity) }
+    Counts { quantity: Some(quantity), ..counts }
 }
 
 /// A name of the manual as it is written in an address.

@@ -1,4 +1,5 @@
 use super::*;
+use fieldbeat_core::axis::acyclic::Call;
 use fieldbeat_core::axis::acyclic::long::{LOAD, READ, STORE, WRITE};
 
 fn target(text: &str) -> Option<Target> {

@@ -1,7 +1,7 @@
 //! Lists of the parameters of a Unidrive: those of a menu that it gives, with their values.
 
 use super::UNREACHABLE;
-use crate::parameter::{self, Addressing, Parameter};
+use crate::parameter::{Addressing, Parameter};
 use crate::wire::ExceptionCode;
 use fieldbeat_core::axis::acyclic::{
     Access, ListError, Listed, Listing, ParameterError, Wanted, Watcher, go_on,
@@ -12,16 +12,11 @@ const MOST: u8 = Addressing::Modified.number_max();
 
 /// How the parameters that are `wanted` are listed.
 pub(super) fn list(wanted: &Wanted<'_>) -> Result<Listing, ListError> {
-    let drive = wanted.drive;
     if wanted.modified || wanted.values || wanted.from.is_some() {
-        return Err(ListError::Wanted(format!(
-            "drive {drive} lists by menu, with values; leave --modified, --values and --from out"
-        )));
+        return Err(wanted.refused("lists by menu, with values; leave --modified, --values and --from out"));
     }
     let Some(menu) = wanted.part else {
-        return Err(ListError::Wanted(format!(
-            "drive {drive} lists by menu; name one, like 06, or 4.15 of the module in slot 4"
-        )));
+        return Err(wanted.refused("lists by menu; name one, like 06, or 4.15 of the module in slot 4"));
     };
     let Ok(first) = format!("{menu}.001").parse::<Parameter>() else {
         let why = format!("{menu}: not a menu; write 06, or 4.15 of the module in slot 4");
@@ -66,6 +61,5 @@ fn read(access: Access<'_>, watch: Watcher<'_>, first: Parameter) -> Result<Vec<
 /// Bits and access, as far as known.
 fn usage(parameter: Parameter) -> Option<String> {
     let known = parameter.known()?;
-    let access = if known.access == parameter::Access::ReadOnly { "read" } else { "read write" };
-    Some(format!("{} {access}", known.width.bits()))
+    Some(format!("{} {}", known.width.bits(), known.access))
 }

@@ -3,6 +3,8 @@
 use proptest::prelude::*;
 
 use super::*;
+use fieldbeat_core::axis::acyclic::Call;
+use fieldbeat_core::axis::acyclic::long::{READ, WRITE};
 
 fn target(text: &str) -> Option<(String, Width)> {
     Target::parse(text).map(|target| (target.parameter.to_string(), target.width))
@@ -189,7 +191,7 @@ proptest! {
         prop_assert_eq!(Target::unpack(target.pack()), Some(target));
         let all = [
             Service::Read(target),
-            Service::Write(target, u32::MAX),
+            Service::Write(target, u64::MAX),
             Service::ReadSeveral(target, 3),
             Service::Store(target, 8),
         ];

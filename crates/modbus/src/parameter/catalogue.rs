@@ -5,15 +5,7 @@
 //! and are known of drives of this family. A drive has many more parameters, and checks every value itself.
 
 use super::{Parameter, SLOT_MAX, Width};
-
-/// The access to a parameter.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Access {
-    /// To read.
-    ReadOnly,
-    /// To read and to write.
-    ReadWrite,
-}
+pub use fieldbeat_core::axis::acyclic::Rights as Access;
 
 /// What is known of a parameter.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -21,7 +21,7 @@ use std::str::FromStr;
 
 use thiserror::Error;
 
-use fieldbeat_core::axis::acyclic::Integer;
+use fieldbeat_core::axis::acyclic::{Integer, decimal};
 
 pub use catalogue::{Access, Known};
 
@@ -97,7 +97,7 @@ impl Width {
         16 * self.registers() as u32
     }
 
-    const fn integer(self, signed: bool) -> Integer {
+    pub(crate) const fn integer(self, signed: bool) -> Integer {
         Integer { bits: self.bits(), signed }
     }
 
@@ -278,8 +278,7 @@ impl FromStr for Parameter {
 
 /// A number of so many digits and nothing else.
 fn digits(text: &str, least: usize, most: usize) -> Option<u8> {
-    let is_one = (least..=most).contains(&text.len()) && text.bytes().all(|byte| byte.is_ascii_digit());
-    text.parse().ok().filter(|_| is_one)
+    decimal(text).filter(|_| (least..=most).contains(&text.len()))
 }
 
 #[cfg(test)]

@@ -237,7 +237,8 @@ impl Acyclic {
     /// How a call is carried out; an error is its status.
     fn way(&mut self, posted: &Posted) -> Result<Way, u32> {
         let Work { path, has_dpv1, transfer, requests, .. } = &mut *self.work;
-        let service = Service::of(&posted.call).ok_or(NO_CALL)?;
+        let several = |service: &Service| matches!(service, Service::ReadSeveral(..));
+        let service = Service::of(&posted.call).filter(|service| !several(service)).ok_or(NO_CALL)?;
         let msac1 = || if *has_dpv1 { Ok(()) } else { Err(NO_DPV1) };
         let parameter = match (service, service.target()) {
             (_, Target::Parameter(parameter)) => parameter,
@@ -252,7 +253,7 @@ impl Acyclic {
                 let fits = transfer.write(record, |out| out.bytes(bytes));
                 return if fits { Ok(Way::Record(record)) } else { Err(NOT_LOADED) };
             }
-            (Service::Write(..), Target::Record(_)) => return Err(NO_CALL),
+            (_, Target::Record(_)) => return Err(NO_CALL),
         };
         let Parameter { code, sub, .. } = parameter;
         match (*path, parameter.kind().integer(), service) {
@@ -271,7 +272,7 @@ impl Acyclic {
             (ParameterPath::Pkw { .. }, ..) if code > pkw::CODE_MAX => Err(UNREACHABLE),
             (ParameterPath::Drivecom, ..) if drivecom::index_of(code).is_none() => Err(UNREACHABLE),
             (_, Some(Integer { bits, .. }), service) => {
-                let write = if let Service::Write(_, raw) = service { Some(raw) } else { None };
+                let write = if let Service::Write(_, raw) = service { Some(raw as u32) } else { None };
                 Ok(Way::Channel(Job { code, sub, bits, write }))
             }
         }
@@ -280,7 +281,7 @@ impl Acyclic {
     fn begin(&mut self, now: Time, way: Way, posted: Posted) {
         let mut of = Active {
             way,
-            writes: Service::of(&posted.call).is_some_and(Service::writes),
+            writes: Service::written(&posted.call).is_some(),
             commands: self.calls.commands(&posted),
             is_out: false,
             begun: now,

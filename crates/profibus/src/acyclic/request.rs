@@ -126,7 +126,7 @@ impl Requests {
             }
             for (parameter, service, posted) in parameters.filter(|_| write) {
                 let kind = parameter.kind();
-                let value = if let Service::Write(_, raw) = service { raw } else { 0 }.to_be_bytes();
+                let value = if let Service::Write(_, raw) = service { raw as u32 } else { 0 }.to_be_bytes();
                 let bytes = match kind.integer() {
                     Some(integer) => value.get(4 - integer.bits as usize / 8..),
                     None => kept.loaded(posted),

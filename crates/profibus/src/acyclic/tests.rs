@@ -7,7 +7,7 @@ use super::super::target::{BROKEN, Kind, commanding};
 use super::*;
 use std::sync::Arc;
 
-use fieldbeat_core::axis::acyclic::long::{LOAD, PART, READ, SIZE, STORE, WRITE};
+use fieldbeat_core::axis::acyclic::long::{LOAD, PART, READ, SIZE, STORE, Target as _, WRITE};
 use fieldbeat_core::axis::acyclic::{Acyclic as Application, Call, CallTicket};
 use fieldbeat_core::time::MS;
 

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use super::*;
 use fieldbeat_core::axis::acyclic::long::{LOAD, STORE, WRITE};
-use fieldbeat_core::axis::acyclic::{Access, Answer, Condition};
+use fieldbeat_core::axis::acyclic::{Access, Call, CallError, Carrier, Condition, Series};
 
 #[test]
 fn addresses_are_codes_and_records_and_the_known_ones_are_listed() {

@@ -17,6 +17,7 @@ use fieldbeat::time::MS;
 use fieldbeat_core::bus::cia402::{ControlCommand as Operation, ControlWord, StatusWord};
 use fieldbeat_core::net::frames::MAC;
 use fieldbeat_ethercat::faults::Fault;
+use fieldbeat_ethercat::object::long::Target as _;
 use fieldbeat_ethercat::object::{Target, pdo};
 use fieldbeat_ethercat::wire::frame::{Command, FrameError, datagrams};
 use fieldbeat_ethercat::wire::registers::{AlState, AlStatus};

@@ -14,6 +14,7 @@ use fieldbeat::sim::ethercat::{EthercatSegment, EthercatSim, SlaveSettings};
 use fieldbeat::{CyclePlan, MasterError, Plan};
 use fieldbeat_core::axis::acyclic::Notation;
 use fieldbeat_ethercat::faults::Fault;
+use fieldbeat_ethercat::object::long::Target as _;
 use fieldbeat_ethercat::object::{Objects, Target};
 use fieldbeat_ethercat::wire::frame::{Command as Datagram, position};
 use fieldbeat_ethercat::wire::registers::address;

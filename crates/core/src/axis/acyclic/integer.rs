@@ -10,6 +10,12 @@ pub struct Integer {
 }
 
 impl Integer {
+    /// The one of whole bytes that people write so: `u8`, `i16`.
+    pub fn named(name: &str) -> Option<Integer> {
+        let bits = name.strip_prefix(['u', 'i']).filter(|bits| ["8", "16", "32", "64"].contains(bits))?;
+        Some(Integer { bits: bits.parse().ok()?, signed: name.starts_with('i') })
+    }
+
     /// The lowest and the highest value.
     pub const fn range(self) -> (i64, i64) {
         match (self.bits, self.signed) {
@@ -40,6 +46,16 @@ impl Integer {
         let word = u32::try_from(raw).ok().map(|word| i64::from(word as i32));
         [own, Some(raw as i64), word].into_iter().flatten().find(|number| (low..=high).contains(number))
     }
+}
+
+/// A number of decimal digits and nothing else.
+pub fn decimal<T: std::str::FromStr>(digits: &str) -> Option<T> {
+    digits.bytes().all(|byte| byte.is_ascii_digit()).then(|| digits.parse().ok())?
+}
+
+/// A number of hexadecimal digits and nothing else.
+pub fn hexadecimal(digits: &str) -> Option<u64> {
+    u64::from_str_radix(digits, 16).ok().filter(|_| !digits.starts_with('+'))
 }
 
 #[cfg(test)]

@@ -1,4 +1,5 @@
-//! Values that are longer than the value of a call: read and written by several calls of one series.
+//! Typed calls: what is done to what. And values that are longer than the value of a call: read and written by several
+//! calls of one series.
 //!
 //! Such a value is read by [`READ`], followed by [`SIZE`] and [`PART`]s of the data read: [`read`] does it. It is
 //! written by [`LOAD`]s, followed by a [`STORE`]: [`write()`]. Several values that are read at once begin with
@@ -25,6 +26,98 @@ pub const LOAD: u32 = 5;
 pub const STORE: u32 = 6;
 /// The service of a call that reads `value` values at once.
 pub const READ_SEVERAL: u32 = 7;
+
+/// What calls read and write: their address.
+pub trait Target: Copy {
+    /// As the address of a call.
+    fn pack(self) -> u32;
+
+    /// From the address of a call; `None`: it is invalid.
+    fn unpack(address: u32) -> Option<Self>;
+
+    /// The call that reads it.
+    fn read(self) -> Call {
+        Service::Read(self).into()
+    }
+
+    /// The call that writes this raw value to it.
+    fn write(self, raw: u64) -> Call {
+        Service::Write(self, raw).into()
+    }
+}
+
+/// A call: what is done to what.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Service<T> {
+    /// Reads it: [`READ`].
+    Read(T),
+    /// Writes this raw value to it: [`WRITE`].
+    Write(T, u64),
+    /// Returns how many bytes were read of it before: [`SIZE`].
+    Size(T),
+    /// Returns eight of those bytes, from this one on: [`PART`].
+    Part(T, u64),
+    /// Hands over the next eight bytes for it: [`LOAD`].
+    Load(T, u64),
+    /// Writes so many of the bytes that were handed over to it: [`STORE`].
+    Store(T, u64),
+    /// Reads so many values from it on: [`READ_SEVERAL`].
+    ReadSeveral(T, u64),
+}
+
+impl<T> Service<T> {
+    /// Its number, its target and its value.
+    fn parts(self) -> (u32, T, u64) {
+        match self {
+            Service::Read(target) => (READ, target, 0),
+            Service::Write(target, raw) => (WRITE, target, raw),
+            Service::Size(target) => (SIZE, target, 0),
+            Service::Part(target, at) => (PART, target, at),
+            Service::Load(target, bytes) => (LOAD, target, bytes),
+            Service::Store(target, length) => (STORE, target, length),
+            Service::ReadSeveral(target, count) => (READ_SEVERAL, target, count),
+        }
+    }
+
+    /// What it is done to.
+    pub fn target(self) -> T {
+        self.parts().1
+    }
+
+    /// It writes.
+    pub const fn writes(&self) -> bool {
+        matches!(self, Service::Write(..) | Service::Store(..))
+    }
+}
+
+impl<T: Target> Service<T> {
+    /// That of a call; `None`: there is no such call.
+    pub fn of(&Call { service, address, value }: &Call) -> Option<Service<T>> {
+        let target = T::unpack(address)?;
+        Some(match service {
+            READ => Service::Read(target),
+            WRITE => Service::Write(target, value),
+            SIZE => Service::Size(target),
+            PART => Service::Part(target, value),
+            LOAD => Service::Load(target, value),
+            STORE => Service::Store(target, value),
+            READ_SEVERAL => Service::ReadSeveral(target, value),
+            _ => return None,
+        })
+    }
+
+    /// What a call writes to; `None`: it does not write.
+    pub fn written(call: &Call) -> Option<T> {
+        Service::of(call).filter(Service::writes).map(Service::target)
+    }
+}
+
+impl<T: Target> From<Service<T>> for Call {
+    fn from(service: Service<T>) -> Call {
+        let (service, target, value) = service.parts();
+        Call { service, address: target.pack(), value }
+    }
+}
 
 /// The most bytes of a value that are read or written.
 pub const MOST: usize = 128;

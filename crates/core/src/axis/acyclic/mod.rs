@@ -8,7 +8,8 @@
 //! | `notation` | what a protocol adds: how its drives write addresses and values, and lists of their parameters |
 //! | `parameter` | typed values at addresses in the drive's own notation |
 //! | `integer` | whole numbers of so many bits |
-//! | `long` | values that are longer than the value of a call |
+//! | `values` | what is at an address: the calls for it, and what its values are |
+//! | `long` | typed calls; values that are longer than the value of a call |
 //!
 //! The meaning of a call's numbers is the protocol's own; its [`Notation`] turns what people write into calls.
 
@@ -19,23 +20,25 @@ mod parameter;
 mod port;
 mod quantity;
 mod queue;
+mod values;
 
 use std::any::Any;
 use std::time::Duration;
 
 use thiserror::Error;
 
-pub use integer::Integer;
+pub use integer::{Integer, decimal, hexadecimal};
 #[cfg(test)]
 pub(crate) use notation::Numbers;
 pub use notation::{
     Access, Block, ListError, Listed, Listing, Notation, NotationError, ParameterError, Progress, ReadList,
-    Request, Wanted, Watcher, bits, count, go_on, in_unit, read_listed, within,
+    Request, Wanted, Watcher, go_on, in_unit,
 };
 pub use parameter::{ParameterTicket, Parameters, Scalar};
 pub use port::{Commanding, Port, Posted};
 pub use quantity::{Quantity, Scale, shown};
 pub use queue::{Acyclic, AcyclicEnds, CallTicket, queue};
+pub use values::{Counts, Place, Rights, Values, Words};
 
 use super::feedback::{Link, State};
 

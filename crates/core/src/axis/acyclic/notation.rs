@@ -6,8 +6,10 @@ use std::time::Duration;
 
 use thiserror::Error;
 
-use super::quantity::Quantity;
+use super::values::{Place, Values};
 use super::{Answer, Call, CallError, Carrier, PostError, Series, long};
+#[cfg(test)]
+use super::{Integer, values::Counts};
 
 /// The time limit of one parameter access, unless the notation sets another: a drive answers within milliseconds, but a
 /// busy host may hold up every exchange of it.
@@ -18,18 +20,33 @@ pub trait Notation: Debug + Send + Sync {
     /// The protocol's name, as in the configuration.
     fn protocol(&self) -> &'static str;
 
+    /// What is at `address`.
+    fn place(&self, address: &str) -> Result<Place, NotationError>;
+
+    /// What the values at `address` are, as far as that is known.
+    fn values(&self, address: &str) -> Values {
+        self.place(address).map_or_else(|_| Values::Unknown { form: String::new() }, |place| place.values)
+    }
+
     /// The call that reads `address`.
-    fn read(&self, address: &str) -> Result<Call, NotationError>;
+    fn read(&self, address: &str) -> Result<Call, NotationError> {
+        self.place(address)?.read
+    }
 
     /// The call that writes the raw `value` to `address`.
-    fn write(&self, address: &str, value: u64) -> Result<Call, NotationError>;
+    fn write(&self, address: &str, value: u64) -> Result<Call, NotationError> {
+        let Place { write, values, .. } = self.place(address)?;
+        let call = write?;
+        match call.service {
+            long::STORE => Ok(call),
+            _ => Ok(Call { value: values.written(value)?, ..call }),
+        }
+    }
 
     /// The raw value of `text` for `address`: a count as on the wire, its bits, or a word.
-    fn value(&self, address: &str, text: &str) -> Result<u64, NotationError>;
-
-    /// What the counts of `address` measure, if that is known.
-    fn quantity(&self, _address: &str) -> Option<Quantity> {
-        None
+    fn value(&self, address: &str, text: &str) -> Result<u64, NotationError> {
+        let Place { write, values, .. } = self.place(address)?;
+        write.and_then(|_| values.raw(text))
     }
 
     /// The raw value of `text` for `address` in the unit in which [`show`](Self::show) shows it; its bits and its words
@@ -39,10 +56,19 @@ pub trait Notation: Debug + Send + Sync {
     }
 
     /// The raw value of `address` as a number in its own type, if the type is known.
-    fn number(&self, address: &str, raw: u64) -> i64;
+    fn number(&self, address: &str, raw: u64) -> i64 {
+        self.values(address).number(raw)
+    }
 
     /// A raw value of `address` as people read it.
-    fn show(&self, address: &str, raw: u64) -> String;
+    fn show(&self, address: &str, raw: u64) -> String {
+        self.values(address).show(raw)
+    }
+
+    /// What a drive has answered to a read of `address` as people read it.
+    fn show_answer(&self, address: &str, answer: &Answer) -> String {
+        self.show(address, answer.value)
+    }
 
     /// The meaning of a status of the drive.
     fn reason(&self, status: u32) -> String;
@@ -62,16 +88,21 @@ pub trait Notation: Debug + Send + Sync {
         self.number(address, written) == self.number(address, read)
     }
 
-    /// Reads `address` if its value may be longer than a raw value, or the drive says what it is: its first eight
-    /// bytes, and its text. `None`: it is no such address.
-    fn read_long(&self, _carrier: &dyn Carrier, _address: &str) -> Option<Result<(u64, String), CallError>> {
-        None
+    /// Reads `address` if its value may be longer than a raw value: its first eight bytes, and its text. `None`: it is
+    /// no such address.
+    fn read_long(&self, carrier: &dyn Carrier, address: &str) -> Option<Result<(u64, String), CallError>> {
+        let Place { read, values, .. } = self.place(address).ok().filter(|place| place.values.are_bytes())?;
+        let call = read.ok()?;
+        let read = long::read(carrier, call.address, self.limit(&call));
+        Some(read.map(|bytes| (long::raw(&bytes), values.text(&bytes))))
     }
 
     /// The calls that write `text` to `address` if its value may be longer than a raw value. `None`: it is no such
     /// address, or no value of it.
-    fn write_long(&self, _address: &str, _text: &str) -> Option<Vec<Call>> {
-        None
+    fn write_long(&self, address: &str, text: &str) -> Option<Vec<Call>> {
+        let Place { write, values, .. } = self.place(address).ok()?;
+        let call = write.ok().filter(|call| call.service == long::STORE || values.are_bytes())?;
+        Some(long::write(call.address, &values.bytes(text)?))
     }
 
     /// `count` parameters that the drive reads or writes in one request, from `address` on.
@@ -81,7 +112,12 @@ pub trait Notation: Debug + Send + Sync {
 
     /// How the parameters that are `wanted` are listed. An error is a mistake in what is wanted.
     fn list(&self, wanted: &Wanted<'_>) -> Result<Listing, ListError> {
-        Err(ListError::Wanted(format!("drive {} does not list its parameters", wanted.drive)))
+        Err(wanted.refused("does not list its parameters"))
+    }
+
+    /// A parameter of a list with what the drive has answered to a read of it.
+    fn listed(&self, row: Listed, answer: &Answer) -> Listed {
+        Listed { raw: Some(answer.value), ..row }
     }
 }
 
@@ -117,20 +153,10 @@ impl Notation for Numbers {
         "numbers"
     }
 
-    fn read(&self, address: &str) -> Result<Call, NotationError> {
-        Ok(Call { address: address.parse().unwrap(), ..Call::default() })
-    }
-
-    fn write(&self, address: &str, value: u64) -> Result<Call, NotationError> {
-        Ok(Call { value, ..self.read(address)? })
-    }
-
-    fn value(&self, _address: &str, text: &str) -> Result<u64, NotationError> {
-        Ok(text.parse().unwrap())
-    }
-
-    fn number(&self, _address: &str, raw: u64) -> i64 {
-        raw.cast_signed()
+    fn place(&self, address: &str) -> Result<Place, NotationError> {
+        let call = Call { address: address.parse().unwrap(), ..Call::default() };
+        let values = Values::Counts(Counts::all(Integer { bits: 64, signed: true }));
+        Ok(Place { read: Ok(call), write: Ok(call), values })
     }
 
     fn show(&self, _address: &str, raw: u64) -> String {
@@ -318,8 +344,8 @@ impl Access<'_> {
         if let Some(read) = self.notation.read_long(self.carrier, address) {
             return read.map_err(|why| Request::read(self.drive, address).failed(why, self.notation));
         }
-        let raw = self.read(address)?;
-        Ok((raw, self.notation.show(address, raw)))
+        let answer = self.answer(address)?;
+        Ok((answer.value, self.notation.show_answer(address, &answer)))
     }
 
     /// Writes a parameter from its text, in the unit in which it is shown.
@@ -441,6 +467,13 @@ pub struct Wanted<'a> {
     pub from: Option<&'a str>,
 }
 
+impl Wanted<'_> {
+    /// The drive does not list this: it does something else, or cannot.
+    pub fn refused(&self, why: &str) -> ListError {
+        ListError::Wanted(format!("drive {} {why}", self.drive))
+    }
+}
+
 /// One parameter of a list.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Listed {
@@ -477,6 +510,16 @@ pub enum Listing {
     Known(Vec<Listed>),
     /// The drive.
     Read(Box<ReadList>),
+}
+
+impl Listing {
+    /// Known parameters; with their values, as far as the drive has them.
+    pub fn of(rows: Vec<Listed>, values: bool) -> Listing {
+        match values {
+            false => Listing::Known(rows),
+            true => Listing::Read(Box::new(move |access, watch| read_listed(access, watch, rows))),
+        }
+    }
 }
 
 impl std::fmt::Debug for Listing {
@@ -517,18 +560,19 @@ pub fn go_on(access: Access<'_>, watch: Watcher<'_>, done: usize, of: usize) -> 
     }
 }
 
-/// Those of `rows` that the drive has, with their values.
-pub fn read_listed(
+/// Those of `rows` that the drive has and that can be read, with their values.
+fn read_listed(
     access: Access<'_>,
     watch: Watcher<'_>,
-    rows: Vec<Listed>,
+    mut rows: Vec<Listed>,
 ) -> Result<Vec<Listed>, ListError> {
+    rows.retain(|row| access.notation.read(&row.address).is_ok());
     let all = rows.len();
     let mut found = Vec::with_capacity(all);
     for (done, row) in rows.into_iter().enumerate() {
         go_on(access, watch, done, all)?;
-        match access.read(&row.address) {
-            Ok(raw) => found.push(Listed { raw: Some(raw), ..row }),
+        match access.answer(&row.address) {
+            Ok(answer) => found.push(access.notation.listed(row, &answer)),
             // Another model has it, or another firmware.
             Err(ParameterError::Refused { .. }) => {}
             Err(error) => return Err(error.into()),
@@ -540,38 +584,9 @@ pub fn read_listed(
 /// The raw value of a text in the unit of `address`: what [`Notation::in_unit`] does of itself.
 pub fn in_unit<N: Notation + ?Sized>(notation: &N, address: &str, text: &str) -> Result<u64, NotationError> {
     let is_raw = text.starts_with("0x") || matches!(text, "true" | "false");
-    match notation.quantity(address).filter(|_| !is_raw) {
+    match notation.values(address).quantity().filter(|_| !is_raw) {
         Some(quantity) => quantity.raw(text, |count| notation.value(address, count)),
         None => notation.value(address, text),
-    }
-}
-
-/// Hexadecimal digits and nothing else.
-pub fn bits(digits: &str) -> Option<u64> {
-    u64::from_str_radix(digits, 16).ok().filter(|_| !digits.starts_with('+'))
-}
-
-/// The number that `text` means if it lies within `range`; `form` says how one is written.
-pub fn within(
-    number: Option<i64>,
-    range: (i64, i64),
-    text: &str,
-    form: impl FnOnce() -> String,
-) -> Result<i64, NotationError> {
-    let (low, high) = range;
-    match number {
-        Some(number) if (low..=high).contains(&number) => Ok(number),
-        Some(_) => Err(NotationError::Range { value: text.to_owned(), low, high }),
-        None => Err(NotationError::Value { value: text.to_owned(), form: form() }),
-    }
-}
-
-/// The count that `text` means.
-pub fn count(text: &str) -> Option<i64> {
-    match text {
-        "true" => Some(1),
-        "false" => Some(0),
-        _ => text.parse().ok(),
     }
 }
 
@@ -587,20 +602,14 @@ mod tests {
         fn protocol(&self) -> &'static str {
             Numbers.protocol()
         }
-        fn read(&self, address: &str) -> Result<Call, NotationError> {
-            Numbers.read(address)
+        fn place(&self, address: &str) -> Result<Place, NotationError> {
+            Numbers.place(address)
         }
         fn write(&self, address: &str, value: u64) -> Result<Call, NotationError> {
             match value {
                 ..=0xFFFF_FFFF => Numbers.write(address, value),
                 _ => Err(NotationError::Value { value: value.to_string(), form: "less".to_owned() }),
             }
-        }
-        fn value(&self, address: &str, text: &str) -> Result<u64, NotationError> {
-            Numbers.value(address, text)
-        }
-        fn number(&self, address: &str, raw: u64) -> i64 {
-            Numbers.number(address, raw)
         }
         fn show(&self, address: &str, raw: u64) -> String {
             Numbers.show(address, raw)

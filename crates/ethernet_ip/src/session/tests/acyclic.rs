@@ -3,6 +3,7 @@
 use super::*;
 use crate::target::{BROKEN, NOT_READ, Target};
 use crate::wire::opcodes::{opcode, parameter};
+use fieldbeat_core::axis::acyclic::long::Target as _;
 use fieldbeat_core::axis::acyclic::{Answer, Call, CallTicket, long};
 
 const VENDOR: &str = "3C 03 20 64 24 01 30 01";

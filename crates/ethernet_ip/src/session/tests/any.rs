@@ -5,6 +5,7 @@ use proptest::prelude::*;
 use super::*;
 use crate::target::Target;
 use crate::wire::encapsulation::{DATA_MAX, HEADER};
+use fieldbeat_core::axis::acyclic::long::Target as _;
 
 /// What a drive, or something else, may send in answer to the last request.
 #[derive(Clone, Debug)]
