@@ -8,6 +8,7 @@
 use super::command::MotionCommand;
 use super::values::Kind;
 use fieldbeat_core::axis::RangeError;
+use fieldbeat_core::axis::acyclic::Integer;
 
 /// The most fields that a command has.
 pub const FIELDS: usize = 5;
@@ -87,11 +88,8 @@ impl Field {
     pub fn read(&self, parameters: &[u8]) -> i64 {
         let place = parameters.iter().skip(self.at - HEADER).take(self.kind.size());
         let value = place.rev().fold(0_u32, |value, byte| value << 8 | u32::from(*byte));
-        match (self.kind.is_signed(), self.kind.size()) {
-            (false, _) => i64::from(value),
-            (true, 2) => i64::from(value as u16 as i16),
-            (true, _) => i64::from(value as i32),
-        }
+        let integer = Integer { bits: 8 * self.kind.size() as u32, signed: self.kind.is_signed() };
+        integer.number(value.into())
     }
 
     /// Writes a wire integer into `parameters`, the bytes after a header. The caller checks its range; excess bits

@@ -3,6 +3,7 @@
 use super::{Progress, Saved, ServiceError, Services, USUAL, Watcher, after, quiet};
 use crate::curve::Curve;
 use crate::motion::Kind;
+use crate::upid::call;
 use crate::wire::{Refusal, RtcCommand};
 
 /// What writing a curve involves.
@@ -120,7 +121,7 @@ impl Services<'_> {
 
     /// Deletes all curves in RAM.
     pub fn delete_curves(&self) -> Result<(), ServiceError> {
-        self.command(RtcCommand::DELETE_CURVES, 0, 0, USUAL).map(drop)
+        self.command(call(RtcCommand::DELETE_CURVES, 0, 0), USUAL).map(drop)
     }
 
     /// Saves all curves to flash, with the software stopped meanwhile. It may take minutes in which the drive is
@@ -141,7 +142,7 @@ impl Services<'_> {
 
     /// Bytes of info block and data.
     fn curve_sizes(&self, id: u16) -> Result<Option<(usize, usize)>, ServiceError> {
-        match self.command(RtcCommand::GET_CURVE, id, 0, USUAL) {
+        match self.command(call(RtcCommand::GET_CURVE, id, 0), USUAL) {
             Ok(answer) => Ok(Some([0, 16].map(|bit| usize::from((answer.value >> bit) as u16)).into())),
             Err(error) if error.refusal() == Some(Refusal::CurveDefinition) => Ok(None),
             Err(error) => Err(error),
@@ -165,7 +166,7 @@ impl Services<'_> {
             |done| self.go_on(watch, Progress { what: "write", done, of }, || format!("writing curve {id}"));
         // Both fit: an info block has 70 bytes, and the data was checked.
         let sizes = raw.info.len() as u32 | (raw.data.len() as u32) << 16;
-        self.command(start, id, sizes, USUAL)?;
+        self.command(call(start, id, sizes), USUAL)?;
         self.send_block(info, id, &raw.info, &mut report)?;
         self.send_block(data, id, &raw.data, |done| report(before + done))
     }

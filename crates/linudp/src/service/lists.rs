@@ -41,7 +41,7 @@ impl Services<'_> {
         let mut bytes = Vec::new();
         for piece in 0..LONGEST_TEXT {
             let upid = first.0.saturating_add(piece);
-            match self.command(RtcCommand::READ_RAM, upid, 0, USUAL) {
+            match self.command(call(RtcCommand::READ_RAM, upid, 0), USUAL) {
                 Ok(answer) => bytes.extend((answer.value as u32).to_le_bytes()),
                 // It ends where the next UPID is none.
                 Err(error) if piece > 0 && error.refusal() == Some(Refusal::NoSuchUpid) => break,
@@ -65,7 +65,7 @@ impl Services<'_> {
         first: Upid,
         watch: Watcher<'_>,
     ) -> Result<Vec<Answer>, ServiceError> {
-        self.command(start, first.0, 0, USUAL)?;
+        self.command(call(start, first.0, 0), USUAL)?;
         let (more, mut items) = (vec![call(next, 0, 0); self.at_once()], Vec::new());
         // There are no more UPIDs than numbers of 16 bits; a longer list is refused.
         while items.len() <= usize::from(u16::MAX) {

@@ -37,7 +37,7 @@ pub struct LoggedError {
 impl Services<'_> {
     /// The error log.
     pub fn error_log(&self) -> Result<ErrorLog, ServiceError> {
-        let counters = self.command(RtcCommand::ERROR_COUNTERS, 0, 0, USUAL)?.value as u32;
+        let counters = self.command(call(RtcCommand::ERROR_COUNTERS, 0, 0), USUAL)?.value as u32;
         let (logged, occurred) = (counters as u16, (counters >> 16) as u16);
         let mut entries = Vec::new();
         for entry in 0..logged.min(ENTRIES) {

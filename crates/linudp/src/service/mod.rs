@@ -32,7 +32,7 @@ pub use lists::ListItem;
 pub use log::{ErrorLog, LoggedError};
 pub use software::{Part, Saved};
 
-use super::upid::call;
+use super::upid::{RtcCall, call};
 use super::wire::{Refusal, RtcCommand, RtcStatus, Take};
 use fieldbeat_core::axis::acyclic::{Acyclic, Answer, Call, CallError, Carrier, Condition};
 pub use fieldbeat_core::axis::acyclic::{Progress, Watcher};
@@ -194,14 +194,8 @@ impl<'a> Services<'a> {
     }
 
     /// One command.
-    fn command(
-        &self,
-        command: RtcCommand,
-        index: u16,
-        value: u32,
-        limit: Duration,
-    ) -> Result<Answer, ServiceError> {
-        let answers = self.series(&[call(command, index, value)], limit)?;
+    fn command(&self, call: Call, limit: Duration) -> Result<Answer, ServiceError> {
+        let answers = self.series(&[call], limit)?;
         // A series without a failure has one answer per call.
         Ok(answers.first().copied().unwrap_or_default())
     }
@@ -215,25 +209,17 @@ impl<'a> Services<'a> {
         }
     }
 
-    /// A block, in pieces of 4 bytes, to the drive: each but the last leaves the block unfinished.
+    /// A block, in pieces of 4 bytes, to the drive.
     fn send_block(
         &self,
         command: RtcCommand,
         index: u16,
         block: &[u8],
-        mut report: impl FnMut(usize) -> Result<(), ServiceError>,
+        report: impl FnMut(usize) -> Result<(), ServiceError>,
     ) -> Result<(), ServiceError> {
         let calls: Vec<Call> =
             block.chunks(4).map(|piece| call(command, index, Take(piece).long())).collect();
-        let (mut sent, last) = (0, calls.len());
-        for calls in calls.chunks(self.at_once()) {
-            for answer in self.series(calls, USUAL)? {
-                sent += 1;
-                self.check_step(command, index, answer, sent == last)?;
-            }
-            report(sent)?;
-        }
-        Ok(())
+        self.transfer(&calls, report).map(drop)
     }
 
     /// A block of so many bytes, in pieces of 4, from the drive.
@@ -242,18 +228,28 @@ impl<'a> Services<'a> {
         command: RtcCommand,
         index: u16,
         size: usize,
+        report: impl FnMut(usize) -> Result<(), ServiceError>,
+    ) -> Result<Vec<u8>, ServiceError> {
+        let mut block = self.transfer(&vec![call(command, index, 0); size.div_ceil(4)], report)?;
+        block.truncate(size);
+        Ok(block)
+    }
+
+    /// The pieces of a block, each of which but the last leaves the block unfinished: what was answered.
+    fn transfer(
+        &self,
+        calls: &[Call],
         mut report: impl FnMut(usize) -> Result<(), ServiceError>,
     ) -> Result<Vec<u8>, ServiceError> {
-        let last = size.div_ceil(4);
-        let (calls, mut block) = (vec![call(command, index, 0); last], Vec::with_capacity(size + 3));
+        let size = 4 * calls.len();
+        let mut block = Vec::with_capacity(size);
         for calls in calls.chunks(self.at_once()) {
-            for answer in self.series(calls, USUAL)? {
+            for (call, answer) in calls.iter().zip(self.series(calls, USUAL)?) {
                 block.extend((answer.value as u32).to_le_bytes());
-                self.check_step(command, index, answer, block.len() >= size)?;
+                self.check_step(call, answer, block.len() == size)?;
             }
             report(block.len() / 4)?;
         }
-        block.truncate(size);
         Ok(block)
     }
 
@@ -274,20 +270,15 @@ impl<'a> Services<'a> {
 
     /// A drive that takes the end of a block for its middle, or the other way round, counts differently from this
     /// master. Within an entry of the command table a status of done is accepted: some drives report it.
-    fn check_step(
-        &self,
-        command: RtcCommand,
-        index: u16,
-        answer: Answer,
-        last: bool,
-    ) -> Result<(), ServiceError> {
+    fn check_step(&self, call: &Call, answer: Answer, last: bool) -> Result<(), ServiceError> {
+        let RtcCall { command, .. } = RtcCall::of(call);
         let in_table = matches!(command, RtcCommand::WRITE_ENTRY_DATA | RtcCommand::GET_ENTRY_DATA);
         let why = match RtcStatus::of(answer.status as u8) {
             RtcStatus::BlockNotFinished if last => "the drive expects more data: it counts another size",
             RtcStatus::Done if !last && !in_table => "the drive ends too early: it counts another size",
             _ => return Ok(()),
         };
-        Err(self.content(describe(Some(&call(command, index, 0))), why.to_owned()))
+        Err(self.content(describe(Some(call)), why.to_owned()))
     }
 
     fn at_once(&self) -> usize {
@@ -329,8 +320,7 @@ fn quiet(_: Progress) -> ControlFlow<()> {
 /// A call in words.
 fn describe(call: Option<&Call>) -> String {
     let Some(call) = call else { return "a command".to_owned() };
-    let command = RtcCommand(call.service as u8);
-    let (index, value) = (call.address, call.value);
+    let RtcCall { command, index, value } = RtcCall::of(call);
     match command.0 {
         0x10..=0x23 => format!("{command} 0x{index:04X}"),
         0x50..=0x55 | 0x60..=0x62 => format!("{command} of curve {index}"),

@@ -54,31 +54,31 @@ pub enum Saved {
 impl Services<'_> {
     /// Saves with this command, with the software stopped meanwhile.
     pub(super) fn save(&self, command: RtcCommand) -> Result<Saved, ServiceError> {
-        let answer = self.with_software_stopped(|| self.command(command, 0, 0, FLASH))?;
+        let answer = self.with_software_stopped(|| self.command(call(command, 0, 0), FLASH))?;
         Ok(if answer.status == UNACKNOWLEDGED { Saved::Silently } else { Saved::Acknowledged })
     }
 
     /// Restarts the drive. Its link drops, values that are in RAM only are lost, and it has to be homed again.
     pub fn restart(&self) -> Result<(), ServiceError> {
         self.require_off("a restart")?;
-        self.command(RtcCommand::RESTART, 0, 0, SLOW).map(drop)
+        self.command(call(RtcCommand::RESTART, 0, 0), SLOW).map(drop)
     }
 
     /// Stops motion control and application software: flash can be written then.
     pub fn stop_software(&self) -> Result<(), ServiceError> {
         self.require_off("stopping its software")?;
-        self.command(RtcCommand::STOP_SOFTWARE, 0, 0, SLOW).map(drop)
+        self.command(call(RtcCommand::STOP_SOFTWARE, 0, 0), SLOW).map(drop)
     }
 
     /// Starts them again. The drive has to be homed again.
     pub fn start_software(&self) -> Result<(), ServiceError> {
-        self.command(RtcCommand::START_SOFTWARE, 0, 0, SLOW).map(drop)
+        self.command(call(RtcCommand::START_SOFTWARE, 0, 0), SLOW).map(drop)
     }
 
     /// Resets `part` of the parameters in ROM to defaults, with the software stopped meanwhile. Takes effect after
     /// a restart.
     pub fn reset_to_default(&self, part: Part) -> Result<(), ServiceError> {
-        self.with_software_stopped(|| self.command(part.command(), 0, 0, FLASH).map(drop))
+        self.with_software_stopped(|| self.command(call(part.command(), 0, 0), FLASH).map(drop))
     }
 
     /// Does `what` while the software is stopped, and starts it again whatever the result, and even if the caller

@@ -71,7 +71,7 @@ impl Services<'_> {
 
     /// Deletes all entries in RAM.
     pub fn delete_table(&self) -> Result<(), ServiceError> {
-        self.command(RtcCommand::DELETE_TABLE, 0, 0, USUAL).map(drop)
+        self.command(call(RtcCommand::DELETE_TABLE, 0, 0), USUAL).map(drop)
     }
 
     /// Saves the table to flash, with the software stopped meanwhile. It may take minutes in which the drive is silent;
@@ -91,7 +91,7 @@ impl Services<'_> {
             let writing = || "writing the command table".to_owned();
             self.go_on(watch, Progress { what: "write", done, of }, writing)?;
             if old.contains_key(&id) {
-                self.command(RtcCommand::DELETE_ENTRY, id.wire(), 0, USUAL)?;
+                self.command(call(RtcCommand::DELETE_ENTRY, id.wire(), 0), USUAL)?;
             }
             if let Some(bytes) = new.get(&id) {
                 self.write_entry(id, bytes)?;
@@ -141,12 +141,12 @@ impl Services<'_> {
 
     fn write_entry(&self, id: EntryId, bytes: &[u8]) -> Result<(), ServiceError> {
         // As the drive returned it, or as an entry is encoded: both have a size of 16 bits.
-        self.command(RtcCommand::WRITE_ENTRY, id.wire(), bytes.len() as u32, USUAL)?;
+        self.command(call(RtcCommand::WRITE_ENTRY, id.wire(), bytes.len() as u32), USUAL)?;
         self.send_block(RtcCommand::WRITE_ENTRY_DATA, id.wire(), bytes, |_| Ok(()))
     }
 
     fn entry_bytes(&self, id: EntryId) -> Result<Vec<u8>, ServiceError> {
-        let answer = self.command(RtcCommand::GET_ENTRY, id.wire(), 0, USUAL)?;
+        let answer = self.command(call(RtcCommand::GET_ENTRY, id.wire(), 0), USUAL)?;
         let size = usize::from(answer.value as u16);
         self.take_block(RtcCommand::GET_ENTRY_DATA, id.wire(), size, |_| Ok(()))
     }
