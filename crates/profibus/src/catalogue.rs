@@ -2,6 +2,7 @@
 //! many more, and checks every value itself.
 
 use super::target::{Kind, Parameter};
+use fieldbeat_core::axis::acyclic::Quantity;
 
 /// The decimals of a code that is not here: most values of these drives are 32 bits with four of them (EMF2133IB
 /// manual). Newer drives have other factors.
@@ -63,16 +64,14 @@ impl Parameter {
         }
     }
 
-    /// Its decimals and its unit: those of a kind that is named are not known, but for some in 16 bits.
-    pub fn scale(self) -> (u32, &'static str) {
+    /// What it measures: of a kind that is named that is not known, but for some in 16 bits.
+    pub fn quantity(self) -> Option<Quantity> {
         let known = self.known();
-        match self.kind {
+        let (decimals, unit) = match self.kind {
             Kind::Own => known.map_or((DECIMALS, ""), |known| (known.decimals, known.unit)),
-            Kind::I16 | Kind::U16 => {
-                let of_word = known.and_then(|known| Some((known.word_decimals?, known.unit)));
-                of_word.unwrap_or_default()
-            }
-            _ => (0, ""),
-        }
+            Kind::I16 | Kind::U16 => known.and_then(|known| Some((known.word_decimals?, known.unit)))?,
+            _ => return None,
+        };
+        Quantity::decimals(decimals, unit)
     }
 }

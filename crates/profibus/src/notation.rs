@@ -62,18 +62,15 @@ impl Target {
         self.parameter()?.kind().integer()
     }
 
-    /// Decimals and unit.
-    fn scale(self) -> (u32, &'static str) {
-        self.parameter().map_or((0, ""), Parameter::scale)
+    /// What its numbers measure.
+    fn quantity(self) -> Option<Quantity> {
+        self.parameter()?.quantity()
     }
 
-    /// What its values are, with these decimals and this unit if they are numbers.
-    fn values(self, (decimals, unit): (u32, &'static str)) -> Values {
+    /// What its values are; this is what they measure if they are numbers.
+    fn values(self, quantity: Option<Quantity>) -> Values {
         match (self, self.integer()) {
-            (_, Some(of)) => {
-                let quantity = Quantity::decimals(decimals, unit);
-                Values::Counts(Counts { quantity, ..Counts::all(of) })
-            }
+            (_, Some(of)) => Values::Counts(Counts { quantity, ..Counts::all(of) }),
             (Target::Parameter(_), None) => Values::Text,
             (Target::Record(_), None) => Values::Octets,
         }
@@ -101,7 +98,7 @@ impl Notation for Codes {
             _ if target.integer().is_none() => Ok(Service::Store(target, 0).into()),
             _ => Ok(target.write(0)),
         };
-        Ok(Place { write, ..Place::of(target, target.values(target.scale())) })
+        Ok(Place { write, ..Place::of(target, target.values(target.quantity())) })
     }
 
     /// The drive has said what it is: in 32 bits it is scaled as by this address.
@@ -109,7 +106,7 @@ impl Notation for Codes {
         let Some(target) = Target::parse(address) else { return self.show(address, answer.value) };
         let read = Target::unpack(answer.address).unwrap_or(target);
         let in_32 = read.integer().is_some_and(|integer| integer.bits == 32);
-        read.values(if in_32 { target.scale() } else { read.scale() }).show(answer.value)
+        read.values(if in_32 { target.quantity() } else { read.quantity() }).show(answer.value)
     }
 
     fn in_unit(&self, address: &str, text: &str) -> Result<u64, NotationError> {
