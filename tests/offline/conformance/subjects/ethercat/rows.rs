@@ -10,6 +10,7 @@ use fieldbeat::bus::ethercat::{Area, Terminals};
 use fieldbeat::sim::ethercat::{ClockKind, EthercatSim, MailboxSettings, Misuse, Model, SiiContent};
 use fieldbeat::sim::{FaultPlan, SimSegment};
 use fieldbeat::time::{MS, S, Time};
+use fieldbeat_core::axis::acyclic::long::Target as _;
 use fieldbeat_core::net::frames::MAC;
 use fieldbeat_ethercat::counters::Own;
 use fieldbeat_ethercat::wire::frame::{BROADCAST, Builder, Command as Frame, position};
