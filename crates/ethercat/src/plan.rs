@@ -20,7 +20,7 @@ use super::object::pdo::{self, Entry, Layout};
 use super::object::{Family, Object, Type};
 use fieldbeat_core::axis::feedback::MONITOR_CHANNELS;
 use fieldbeat_core::axis::is_plain_name;
-use fieldbeat_core::axis::{AxisPlan, MonitorChannel, Unit, Units};
+use fieldbeat_core::axis::{AxisPlan, MonitorChannel, Units};
 use fieldbeat_core::bus::variant::Variant;
 
 /// The slaves of one segment, behind one interface.
@@ -293,15 +293,9 @@ impl KollmorgenDrive {
         let empty = |pdo| Layout { pdo, entries: Vec::new() };
         let outputs = layout(0x1702).unwrap_or_else(|| empty(0x1702));
         let inputs = layout(inputs).unwrap_or_else(|| empty(inputs));
-        let units = Units {
-            unit: Unit::Revolution,
-            counts_per_unit: scaling.increments(),
-            offset: 0.0,
-            modulo: None,
-        };
         let areas = MAILBOXES.map(|start| Area { start, length: mailbox });
         let mut drive = KollmorgenDrive {
-            axis: AxisPlan::new(name, units),
+            axis: AxisPlan::new(name, Units::revolutions(scaling.increments())),
             slave: SlavePlan {
                 identity: Expected {
                     vendor: Some(KOLLMORGEN),

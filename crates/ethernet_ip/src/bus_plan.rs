@@ -5,7 +5,7 @@ use super::counters::OWN;
 use super::diagnosis::DIAGNOSIS;
 use super::fields::layout;
 use super::notation::Addresses;
-use super::plan::{Delivery, EthernetIpPlan, MoonsDrive};
+use super::plan::{Delivery, EthernetIpPlan, MoonsDrive, Originator, RPI_RANGE_NS};
 use super::profile;
 use super::target::Target;
 use super::wire::assembly::{Version, alarms, input_size};
@@ -81,7 +81,21 @@ impl BusPlan for EthernetIpPlan {
         Some(Box::new(EthernetIpPlan { drives: vec![drive], ..self.clone() }))
     }
 
+    /// Another host is another originator, unless it was named.
     fn variant(&self, wanted: &Variant) -> Option<Box<dyn BusPlan>> {
-        Some(Box::new(EthernetIpPlan::variant(self, wanted)?))
+        let mut plan = self.clone();
+        plan.bind.set_ip(wanted.address(*plan.bind.ip()));
+        if self.originator == Originator::at(*self.bind.ip()) {
+            plan.originator = Originator::at(*plan.bind.ip());
+        }
+        plan.drives = wanted.hosts(&self.drives, |drive| (&mut drive.axis, &mut drive.address));
+        for drive in &mut plan.drives {
+            wanted.schedule(&mut drive.axis, RPI_RANGE_NS.0);
+            if !drive.outlives_a_loss(wanted.period_ns) {
+                drive.multiplier = None;
+            }
+            drive.effect_within_ns = drive.effect_within_ns.max(drive.least_effect_ns(wanted.period_ns));
+        }
+        Some(Box::new(plan))
     }
 }

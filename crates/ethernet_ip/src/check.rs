@@ -8,7 +8,7 @@ use super::plan::{
 };
 use super::wire::assembly::IoCode;
 use super::wire::cip::DATA_MAX;
-use fieldbeat_core::axis::{HeldBy, Load, PlanFault};
+use fieldbeat_core::axis::{Faults, HeldBy, Load, MonitorChannel, PlanFault};
 use fieldbeat_core::time::{Ns, S, US};
 
 /// Of [`Expected::VENDOR`].
@@ -16,6 +16,9 @@ pub(super) const VENDOR_NAME: &str = "Applied Motion Products";
 
 const NOTHING_STOPS: &str =
     "nothing stops the drive: a move runs to its target and a jog runs on (watchdog = \"off\")";
+
+/// Of a drive at the address of its bus.
+pub(super) const OWN_ADDRESS: &str = "is the master's own address, bind; give that of the drive";
 
 /// The most bytes of the configuration assembly that are sent.
 pub(super) const CONFIGURATION_MAX: usize = DATA_MAX;
@@ -40,7 +43,7 @@ impl EthernetIpPlan {
         }
         for (index, drive) in self.drives.iter().enumerate() {
             if drive.address.ip() == ip {
-                wrong(index, "address", "is the master's own address, bind; give that of the drive");
+                wrong(index, "address", OWN_ADDRESS);
             }
         }
         let of = |(index, drive): (usize, &MoonsDrive)| Some((index, drive.delivery_fault(self.bind)?));
@@ -60,22 +63,15 @@ impl MoonsDrive {
         self.command_faults(period_ns, &mut faults);
         self.connection_faults(&mut faults);
         self.scale_faults(&mut faults);
-        self.range_faults(&mut faults);
+        faults.extend(self.range_faults());
         self.homing_faults(&mut faults);
-        let mut wrong = |key, message: &str| faults.push(PlanFault::new(key, message));
-        if self.axis.limits.torque.is_some() {
-            wrong("limits.torque", "has no effect: the drive takes no torque setpoints; leave it out");
-        }
-        if self.axis.limits.step.is_some() {
-            let why = "has no effect: the drive makes its profiles itself, and takes no rows; leave it out";
-            wrong("limits.step", why);
-        }
-        if self.enable_input.is_some_and(|input| !(1..=INPUT_MAX).contains(&input.number)) {
-            wrong("enable_input", "must be an input of the drive, 1 ... 12");
-        }
-        if self.homed_register.is_some_and(|register| !register.is_ascii_digit()) {
-            wrong("homed_register", "must be a register of the user, \"0\" ... \"9\"");
-        }
+        faults.extend(self.axis.torque_fault("the drive takes no torque setpoints"));
+        let why = "has no effect: the drive makes its profiles itself, and takes no rows; leave it out";
+        faults.wrong_if(self.axis.limits.step.is_some(), "limits.step", why);
+        let wrong = self.enable_input.is_some_and(|input| !(1..=INPUT_MAX).contains(&input.number));
+        faults.wrong_if(wrong, "enable_input", "must be an input of the drive, 1 ... 12");
+        let wrong = self.homed_register.is_some_and(|register| !register.is_ascii_digit());
+        faults.wrong_if(wrong, "homed_register", "must be a register of the user, \"0\" ... \"9\"");
         faults
     }
 
@@ -90,25 +86,24 @@ impl MoonsDrive {
     fn interval_faults(&self, period_ns: u64, faults: &mut Vec<PlanFault>) {
         let (rpi, input_rpi) = (self.rpi_ns(period_ns), self.input_rpi_ns(period_ns));
         let (least, most) = RPI_RANGE_NS;
-        let mut wrong = |key, message| faults.push(PlanFault::new(key, message));
         let why = |ns: u64| match ns {
             _ if !(least..=most).contains(&ns) => Some(format!("must be {} ... {}", Ns(least), Ns(most))),
             _ => (!ns.is_multiple_of(US)).then(|| "must be in whole microseconds".to_owned()),
         };
         if let Some(why) = why(rpi) {
             let made = format!("makes a packet every {} (period x divisor)", Ns(rpi));
-            wrong("divisor", format!("{made}, which {why}; change it or the period"));
+            faults.wrong("divisor", format_args!("{made}, which {why}; change it or the period"));
         } else if let Some(why) = self.input_rpi_ns.and_then(why) {
-            wrong("input_rpi", format!("{why}; leave it out for that of the master, {}", Ns(rpi)));
+            let own = Ns(rpi);
+            faults.wrong("input_rpi", format_args!("{why}; leave it out for that of the master, {own}"));
         } else if self.fresh_within_ns(period_ns) < input_rpi {
             let what = format!("is shorter than the interval of the drive's packets, {}", Ns(input_rpi));
             let why = "each would be too old before the next one comes; allow two of them";
-            wrong("fresh_within", format!("{what}: {why}"));
+            faults.wrong("fresh_within", format_args!("{what}: {why}"));
         }
-        if self.first_within_ns < input_rpi || self.first_within_ns > 60 * S {
-            let least = Ns(input_rpi);
-            wrong("first_within", format!("must be {least} ... 60 s: the first packet takes an interval"));
-        }
+        let why = format!("must be {} ... 60 s: the first packet takes an interval", Ns(input_rpi));
+        let within = self.first_within_ns;
+        faults.wrong_if(within < input_rpi || within > 60 * S, "first_within", why);
     }
 
     /// A connection that ends before a loss has led to a stop would take the stop with it.
@@ -136,29 +131,21 @@ impl MoonsDrive {
 
     /// How commands are held, and what the drive's own watchdog allows.
     fn command_faults(&self, period_ns: u64, faults: &mut Vec<PlanFault>) {
-        let rpi = self.rpi_ns(period_ns);
-        let mut wrong = |key, message| faults.push(PlanFault::new(key, message));
-        if !(1..=100).contains(&self.hold) {
-            wrong("hold", "must be 1 ... 100 packets; 2 survive the loss of one".to_owned());
-        }
+        let why = "must be 1 ... 100 packets; 2 survive the loss of one";
+        faults.wrong_if(!(1..=100).contains(&self.hold), "hold", why);
         let seen_ns = self.least_effect_ns(period_ns);
-        if self.effect_within_ns < seen_ns || self.effect_within_ns > 10 * S {
-            let why = "twice the intervals of the packets in both directions";
-            wrong("effect_within", format!("must be {} ... 10 s: {why}", Ns(seen_ns)));
-        }
-        let (within, least) = (self.watchdog.within_ns, rpi.saturating_mul(2));
-        if within.is_none() && self.takes_commands() && !self.watchdog.accept_none {
-            let why = "must be \"accept\" with watchdog = \"off\": nothing stops the drive if the master \
-                       dies; or set ZS of the drive, and watchdog to that";
-            wrong("no_drive_watchdog", why.to_owned());
-        }
-        if within.is_some_and(|within| !(least..=WATCHDOG_MAX_NS).contains(&within)) {
-            let (least, most) = (Ns(least), Ns(WATCHDOG_MAX_NS));
-            wrong(
-                "watchdog",
-                format!("must be {least} ... {most}: the drive's ZS has to outlast a lost packet"),
-            );
-        }
+        let what = "twice the intervals of the packets in both directions";
+        let wrong = self.effect_within_ns < seen_ns || self.effect_within_ns > 10 * S;
+        faults.wrong_if(wrong, "effect_within", format_args!("must be {} ... 10 s: {what}", Ns(seen_ns)));
+        let (within, least) = (self.watchdog.within_ns, self.rpi_ns(period_ns).saturating_mul(2));
+        let why = "must be \"accept\" with watchdog = \"off\": nothing stops the drive if the master dies; or set \
+                   ZS of the drive, and watchdog to that";
+        let unwatched = within.is_none() && self.takes_commands() && !self.watchdog.accept_none;
+        faults.wrong_if(unwatched, "no_drive_watchdog", why);
+        let wrong = within.is_some_and(|within| !(least..=WATCHDOG_MAX_NS).contains(&within));
+        let (least, most) = (Ns(least), Ns(WATCHDOG_MAX_NS));
+        let why = format!("must be {least} ... {most}: the drive's ZS has to outlast a lost packet");
+        faults.wrong_if(wrong, "watchdog", why);
     }
 
     /// What the kind of the connection rules out.
@@ -166,59 +153,45 @@ impl MoonsDrive {
         if !self.cyclic {
             return;
         }
-        let mut wrong = |key, message: &str| faults.push(PlanFault::new(key, message));
         let is_first = self.version == Some(Version::V1);
-        if is_first && self.is_owned() {
-            wrong("connection", "must be \"input-only\": a drive of version \"v1\" has no output assembly");
-        }
-        if is_first && self.layout == Layout::Page {
-            wrong("layout", "concerns input assembly 0x65, which version \"v1\" has not; leave it out");
-        }
-        if self.connection == Access::ListenOnly && self.delivery != Delivery::Multicast {
-            let why = "must be \"multicast\": who listens only gets the packets of another connection";
-            wrong("delivery", why);
-        }
-        if self.is_owned() && self.heartbeat.is_some() {
-            let why = "is for connections without outputs; leave it out, or set connection = \"input-only\"";
-            wrong("heartbeat", why);
-        }
-        if self.heartbeat.is_some_and(|size| !matches!(size, 0 | 2 | 6)) {
-            wrong("heartbeat", "must be 2, 6 or 0 bytes");
-        }
-        if self.configuration.as_ref().is_some_and(|bytes| bytes.len() > CONFIGURATION_MAX) {
-            wrong("configuration", "must be at most 256 bytes");
-        }
-        if !self.takes_commands() && self.homing.is_some() {
-            wrong("homing", "needs outputs: connection = \"owner\", and a drive of version \"v2\"");
-        }
-        if !self.takes_commands() && self.enable_input.is_some() {
-            wrong("enable_input", "concerns commands, and this connection has none; leave it out");
-        }
+        let why = "must be \"input-only\": a drive of version \"v1\" has no output assembly";
+        faults.wrong_if(is_first && self.is_owned(), "connection", why);
+        let why = "concerns input assembly 0x65, which version \"v1\" has not; leave it out";
+        faults.wrong_if(is_first && self.layout == Layout::Page, "layout", why);
+        let wrong = self.connection == Access::ListenOnly && self.delivery != Delivery::Multicast;
+        let why = "must be \"multicast\": who listens only gets the packets of another connection";
+        faults.wrong_if(wrong, "delivery", why);
+        let why = "is for connections without outputs; leave it out, or set connection = \"input-only\"";
+        faults.wrong_if(self.is_owned() && self.heartbeat.is_some(), "heartbeat", why);
+        let wrong = self.heartbeat.is_some_and(|size| !matches!(size, 0 | 2 | 6));
+        faults.wrong_if(wrong, "heartbeat", "must be 2, 6 or 0 bytes");
+        let wrong = self.configuration.as_ref().is_some_and(|bytes| bytes.len() > CONFIGURATION_MAX);
+        faults.wrong_if(wrong, "configuration", "must be at most 256 bytes");
+        let mute = !self.takes_commands();
+        let why = "needs outputs: connection = \"owner\", and a drive of version \"v2\"";
+        faults.wrong_if(mute && self.homing.is_some(), "homing", why);
+        let why = "concerns commands, and this connection has none; leave it out";
+        faults.wrong_if(mute && self.enable_input.is_some(), "enable_input", why);
     }
 
     fn scale_faults(&self, faults: &mut Vec<PlanFault>) {
-        let steps = self.steps_per_revolution;
-        if !(1.0..=STEPS_MAX).contains(&steps) {
-            faults.push(PlanFault::new("steps_per_rev", format!("must be 1 ... {STEPS_MAX}, as EG sets it")));
-        }
+        let wrong = !(1.0..=STEPS_MAX).contains(&self.steps_per_revolution);
+        faults.wrong_if(wrong, "steps_per_rev", format_args!("must be 1 ... {STEPS_MAX}, as EG sets it"));
         let encoder = self.encoder_counts_per_step;
-        if !(encoder > 0.0 && encoder.is_finite()) {
-            let why = "must be true, false or its counts of a revolution, above 0";
-            faults.push(PlanFault::new("encoder", why));
-        }
+        let why = "must be true, false or its counts of a revolution, above 0";
+        faults.wrong_if(!(encoder > 0.0 && encoder.is_finite()), "encoder", why);
     }
 
     /// Velocities and accelerations are 16 bits of small units on the wire.
-    fn range_faults(&self, faults: &mut Vec<PlanFault>) {
+    fn range_faults(&self) -> Vec<PlanFault> {
         let axis = &self.axis;
         let (profile, limits, homing) = (&axis.profile, &axis.limits, self.homing.as_ref());
         let (velocity, acceleration) =
             (self.velocity_on_wire(1.0).abs(), self.acceleration_on_wire(1.0).abs());
         if !(velocity > 0.0 && velocity.is_finite() && acceleration.is_finite()) {
-            return; // Reported for every axis, or above.
+            return Vec::new(); // Reported for every axis, or above.
         }
-        let mut reported = None;
-        for (key, value, on_wire, per) in [
+        let values = [
             ("profile.velocity", Some(profile.velocity), velocity, "s"),
             ("limits.velocity", limits.velocity, velocity, "s"),
             ("homing.velocity", homing.map(|homing| homing.velocity), velocity, "s"),
@@ -227,44 +200,30 @@ impl MoonsDrive {
             ("limits.acceleration", limits.acceleration, acceleration, "s²"),
             ("stop.deceleration", Some(axis.stop.deceleration), acceleration, "s²"),
             ("homing.acceleration", homing.map(|homing| homing.acceleration), acceleration, "s²"),
-        ] {
-            let Some(value) = value else { continue };
-            let (least, most) = (1.0 / on_wire, MOST_PER_REV / on_wire);
-            // One acceleration may stand in for several of them.
-            if (least..=most).contains(&value) || reported == Some((value, per)) {
-                continue;
-            }
-            let unit = axis.units.unit;
-            let (least, most) = (inside(least, f64::ceil), inside(most, f64::floor));
-            let why = format!(
-                "{value} is outside the range of the drive, {least} ... {most} {unit}/{per}; change it or \
-                 check scale and steps_per_rev"
-            );
-            faults.push(PlanFault::new(key, why));
-            reported = Some((value, per));
-        }
+        ];
+        let values = values.into_iter().filter_map(|(key, value, on_wire, per)| {
+            Some((key, value?, [1.0 / on_wire, MOST_PER_REV / on_wire], per))
+        });
+        let shown = |[least, most]: [f64; 2]| [inside(least, f64::ceil), inside(most, f64::floor)];
+        axis.range_faults(values, shown, "change it or check scale and steps_per_rev")
     }
 
     fn homing_faults(&self, faults: &mut Vec<PlanFault>) {
         let Some(homing) = &self.homing else { return };
-        let mut wrong = |key, message: String| faults.push(PlanFault::new(key, message));
-        if IoCode::from_code(homing.input).is_none() {
-            wrong("homing.input", "must be an input with its condition, like \"2L\"".to_owned());
-        }
-        let counts = (homing.distance * self.axis.units.counts_per_unit).abs();
-        if !(1.0..=f64::from(i32::MAX)).contains(&counts) {
-            let unit = self.axis.units.unit;
-            let most = inside(f64::from(i32::MAX) / self.axis.units.counts_per_unit.abs(), f64::floor);
-            let why = format!(
-                "{} is no distance of the drive; use up to {most} {unit}, its sign is the direction",
-                homing.distance
-            );
-            wrong("homing.distance", why);
-        }
+        let wrong = IoCode::from_code(homing.input).is_none();
+        faults.wrong_if(wrong, "homing.input", "must be an input with its condition, like \"2L\"");
+        let (distance, unit) = (homing.distance, self.axis.units.unit);
+        let most = inside(f64::from(i32::MAX) / self.axis.units.counts_per_unit.abs(), f64::floor);
+        let why = format!(
+            "{distance} is no distance of the drive; use up to {most} {unit}, its sign is the direction"
+        );
+        let counts = (distance * self.axis.units.counts_per_unit).abs();
+        faults.wrong_if(!(1.0..=f64::from(i32::MAX)).contains(&counts), "homing.distance", why);
         let most = self.axis.limits.homing_velocity();
         if let Some(most) = most.filter(|most| homing.velocity > *most) {
-            let why = format!("exceeds the limit while it homes, {most}; lower it, or raise limits.homing");
-            wrong("homing.velocity", why);
+            let remedy = "lower it, or raise limits.homing";
+            let why = format!("exceeds the limit while it homes, {most}; {remedy}");
+            faults.wrong("homing.velocity", why);
         }
     }
 
@@ -281,7 +240,6 @@ impl MoonsDrive {
                 format!("no motion: {}; its values are shown, and calls are taken", self.why_no_commands())
             }
         };
-        let shown: Vec<String> = self.shown().into_iter().flatten().map(|channel| channel.name).collect();
         let explicit = match self.explicit {
             Explicit::Unconnected => "unconnected",
             Explicit::Connected => "on a class 3 connection",
@@ -292,7 +250,7 @@ impl MoonsDrive {
             self.describe_connection(),
             self.describe_intervals(period_ns),
             motion,
-            format!("shows {}", shown.join(", ")),
+            format!("shows {}", MonitorChannel::names(self.shown()).unwrap_or_default()),
             format!("explicit messages go {explicit}, one at a time"),
             format!("if the master dies: {}", self.describe_death()),
         ];

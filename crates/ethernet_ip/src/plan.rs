@@ -6,8 +6,7 @@ use super::wire::assembly::Inputs;
 pub use super::wire::assembly::{Layout, Version};
 pub use super::wire::connection::{Access, Delivery};
 use fieldbeat_core::axis::feedback::MONITOR_CHANNELS;
-use fieldbeat_core::axis::{AxisPlan, MonitorChannel, Unit, Units};
-use fieldbeat_core::bus::variant::{self, Variant};
+use fieldbeat_core::axis::{AxisPlan, MonitorChannel, Units};
 use fieldbeat_core::net::SendMode;
 use fieldbeat_core::time::{MS, S};
 
@@ -217,28 +216,6 @@ impl EthernetIpPlan {
 
     /// The usual mark of class 1 packets with the priority "scheduled" (QoS object).
     pub const DSCP: u8 = 47;
-
-    /// This bus in another machine. Another host is another originator, unless it was named.
-    pub(super) fn variant(&self, wanted: &Variant) -> Option<EthernetIpPlan> {
-        let mut plan = self.clone();
-        plan.bind.set_ip(wanted.address(*plan.bind.ip()));
-        if self.originator == Originator::at(*self.bind.ip()) {
-            plan.originator = Originator::at(*plan.bind.ip());
-        }
-        plan.drives = wanted.repeated(&self.drives, |drive, ahead| {
-            drive.axis.name = variant::name_behind(&drive.axis.name, ahead);
-            drive.address = variant::address_behind(drive.address, ahead);
-        });
-        for drive in &mut plan.drives {
-            drive.address.set_ip(wanted.address(*drive.address.ip()));
-            wanted.schedule(&mut drive.axis, RPI_RANGE_NS.0);
-            if !drive.outlives_a_loss(wanted.period_ns) {
-                drive.multiplier = None;
-            }
-            drive.effect_within_ns = drive.effect_within_ns.max(drive.least_effect_ns(wanted.period_ns));
-        }
-        Some(plan)
-    }
 }
 
 impl Originator {
@@ -258,14 +235,8 @@ impl MoonsDrive {
     /// A drive at this address with 20 000 steps a revolution, with everything else as it is when a configuration says
     /// nothing of it.
     pub fn new(name: impl Into<String>, address: Ipv4Addr) -> MoonsDrive {
-        let units = Units {
-            unit: Unit::Revolution,
-            counts_per_unit: MoonsDrive::STEPS_PER_REVOLUTION,
-            offset: 0.0,
-            modulo: None,
-        };
         MoonsDrive {
-            axis: AxisPlan::new(name, units),
+            axis: AxisPlan::new(name, Units::revolutions(MoonsDrive::STEPS_PER_REVOLUTION)),
             steps_per_revolution: MoonsDrive::STEPS_PER_REVOLUTION,
             address: SocketAddrV4::new(address, PORT),
             expected: Expected::default(),

@@ -5,9 +5,9 @@ use std::time::Duration;
 
 use super::motion::StreamCommand;
 use super::upid::Upid;
-use fieldbeat_core::axis::{AxisPlan, MonitorChannel, PlanFault, Units};
+use fieldbeat_core::axis::{AxisPlan, Faults, MonitorChannel, PlanFault, Units};
 use fieldbeat_core::bus::MOST_EARLIER;
-use fieldbeat_core::bus::variant::{self, Variant};
+use fieldbeat_core::bus::variant::Variant;
 use fieldbeat_core::net::SendMode;
 use fieldbeat_core::time::{Ns, nanos};
 
@@ -69,12 +69,8 @@ impl LinUdpPlan {
     pub(super) fn variant(&self, wanted: &Variant) -> Option<LinUdpPlan> {
         let mut plan = self.clone();
         plan.bind.set_ip(wanted.address(*plan.bind.ip()));
-        plan.drives = wanted.repeated(&self.drives, |drive, ahead| {
-            drive.axis.name = variant::name_behind(&drive.axis.name, ahead);
-            drive.address = variant::address_behind(drive.address, ahead);
-        });
+        plan.drives = wanted.hosts(&self.drives, |drive| (&mut drive.axis, &mut drive.address));
         for drive in &mut plan.drives {
-            drive.address.set_ip(wanted.address(*drive.address.ip()));
             let least_ns = drive.stream.map_or(0, |stream| stream.period_range_ns().0);
             wanted.schedule(&mut drive.axis, least_ns);
             let every_ns = wanted.every_ns(&drive.axis);
@@ -201,9 +197,8 @@ impl LinUdpDrive {
     pub fn faults(&self, period_ns: u64) -> Vec<PlanFault> {
         let mut faults = self.wire_faults();
         faults.extend(self.stream.and_then(|command| self.stream_fault(command, period_ns)));
-        let mut fault = |key, why: &str| faults.push(PlanFault::new(key, why));
         if let Some(name) = self.monitor.shown_twice() {
-            fault("monitor", &format!("has {name} twice; list each variable once"));
+            faults.wrong("monitor", format_args!("has {name} twice; list each variable once"));
         }
         let most = self.most_replies_within();
         if self.reply_within.is_some_and(|within| !(1..=most).contains(&within)) {
@@ -213,22 +208,19 @@ impl LinUdpDrive {
                 (_, MonitorPlan::Off) | (ReplyTag::Count, _) => "later replies could look like newer ones",
                 _ => "with monitor only four replies in a row differ, unless reply_tag = \"count\"",
             };
-            fault("reply_within", &format!("must be {range}: {tag}"));
+            faults.wrong("reply_within", format_args!("must be {range}: {tag}"));
         }
-        if self.axis.limits.torque.is_some() {
-            fault("limits.torque", "has no effect: a LinUDP drive takes no torque setpoints; leave it out");
-        }
-        if self.sto_after >= self.axis.enable_timeout {
-            let why =
-                "must be shorter than enable_timeout, or no Enable would report a missing hardware enable";
-            fault("sto_after", why);
-        }
+        faults.extend(self.axis.torque_fault("a LinUDP drive takes no torque setpoints"));
+        let why = "must be shorter than enable_timeout, or no Enable would report a missing hardware enable";
+        faults.wrong_if(self.sto_after >= self.axis.enable_timeout, "sto_after", why);
         let (unit, range) = (self.axis.units.unit, self.axis.limits.position.map(|(low, high)| high - low));
         match (self.leash, range) {
-            (Some(leash), _) if !(leash > 0.0 && leash.is_finite()) => fault("leash", "must be above 0"),
+            (Some(leash), _) if !(leash > 0.0 && leash.is_finite()) => {
+                faults.wrong("leash", "must be above 0")
+            }
             (Some(leash), Some(range)) if leash > range => {
                 let far = "a jog runs that far if the master dies";
-                fault("leash", &format!("is longer than the range of {range} {unit}; {far}"));
+                faults.wrong("leash", format_args!("is longer than the range of {range} {unit}; {far}"));
             }
             _ => {}
         }
@@ -238,31 +230,19 @@ impl LinUdpDrive {
     /// Speed goes over the wire in 1 um/s = 10 counts/s and acceleration in 10 um/s² = 100 counts/s² (manual, 4.2): a
     /// value must be at least one of them, and fit into the signed 32 bits of the streaming commands.
     fn wire_faults(&self) -> Vec<PlanFault> {
-        let (profile, unit) = (&self.axis.profile, self.axis.units.unit);
+        let profile = &self.axis.profile;
         let scale = self.axis.units.counts_per_unit.abs();
-        let mut faults = Vec::new();
         if scale == 0.0 || !scale.is_finite() {
-            return faults; // Reported for every axis.
+            return Vec::new(); // Reported for every axis.
         }
-        let mut reported = None;
-        for (key, value, counts, per) in [
-            ("profile.velocity", profile.velocity, 10.0, "s"),
-            ("profile.acceleration", profile.acceleration, 100.0, "s²"),
-            ("profile.deceleration", profile.deceleration, 100.0, "s²"),
-            ("stop.deceleration", self.axis.stop.deceleration, 100.0, "s²"),
-        ] {
-            let step = counts / scale;
-            let most = step * f64::from(i32::MAX);
-            // One acceleration may stand in for all three of them.
-            if (step..=most).contains(&value) || reported == Some((value, per)) {
-                continue;
-            }
-            let range = format!("{step} ... {most} {unit}/{per}");
-            let why = format!("{value} is outside the range of the drive, {range}; change it or check scale");
-            faults.push(PlanFault::new(key, why));
-            reported = Some((value, per));
-        }
-        faults
+        let range = |counts: f64| [counts / scale, counts / scale * f64::from(i32::MAX)];
+        let values = [
+            ("profile.velocity", profile.velocity, range(10.0), "s"),
+            ("profile.acceleration", profile.acceleration, range(100.0), "s²"),
+            ("profile.deceleration", profile.deceleration, range(100.0), "s²"),
+            ("stop.deceleration", self.axis.stop.deceleration, range(100.0), "s²"),
+        ];
+        self.axis.range_faults(values, |ends| ends, "change it or check scale")
     }
 
     fn stream_fault(&self, command: StreamCommand, period_ns: u64) -> Option<PlanFault> {
@@ -318,13 +298,10 @@ impl LinUdpDrive {
             None => format!("no streams: no streaming command takes a setpoint every {setpoints}"),
         });
         lines.extend(match self.monitor {
-            MonitorPlan::Off => None,
             MonitorPlan::AsSet => Some("shows its monitoring channels as the drive has them set".to_owned()),
-            MonitorPlan::Sources(_) => {
-                let names = self.monitor.channels().into_iter().flatten().map(|channel| channel.name);
-                let names = names.collect::<Vec<_>>().join(", ");
-                Some(format!("shows {names}: the master sets this, in RAM, whenever the drive comes online"))
-            }
+            _ => MonitorChannel::names(self.monitor.channels()).map(|names| {
+                format!("shows {names}: the master sets this, in RAM, whenever the drive comes online")
+            }),
         });
         lines.push(match self.replies_within() {
             1 => "a reply counts in the cycle of its request only".to_owned(),

@@ -7,7 +7,8 @@ use super::parameter::Width;
 use super::plan::{
     Functions, KEYPAD_WATCHDOG_NS, REFERENCES_IN_A_ROW, UnidriveDrive, Via, WATCHDOG_MAX_NS, Watchdog,
 };
-use fieldbeat_core::axis::{FollowingError, HeldBy, Load, PlanFault};
+use fieldbeat_core::axis::{Faults, MonitorChannel, PlanFault};
+use fieldbeat_core::bus::unwatched;
 use fieldbeat_core::time::{MS, Ns, S};
 
 /// A host repeats a lost segment that nothing follows after so long at the earliest, ns (Linux: TCP_RTO_MIN, and the
@@ -20,114 +21,68 @@ impl UnidriveDrive {
     /// What contradicts itself, or would not work with an exchange every `period_ns`; what every axis has left out.
     pub fn faults(&self, period_ns: u64) -> Vec<PlanFault> {
         let mut faults: Vec<PlanFault> = Mapping::new(self).err().into_iter().collect();
-        faults.extend(self.position_faults());
+        faults.extend(self.axis.position_faults());
         faults.extend(self.speed_faults());
         faults.extend(self.watchdog_faults(period_ns));
-        let mut wrong = |key, message: &str| faults.push(PlanFault::new(key, message));
-        if self.reply_within_ns == 0 || self.reply_within_ns > 10 * S {
-            wrong("reply_within", "must be above 0 and at most 10 s");
-        }
-        if self.slot == 0 || self.slot > 4 {
-            wrong(
-                "slot",
-                "must be the slot of the Ethernet interface: 4 onboard, 1 ... 3 an SI-Ethernet option",
-            );
-        }
-        if self.axis.limits.torque.is_some() {
-            wrong(
-                "limits.torque",
-                "has no effect: the drive takes speed setpoints, no torques; leave it out",
-            );
-        }
-        if self.axis.load == Load::Vertical(HeldBy::Drive) {
-            wrong(
-                "held_by",
-                "a Unidrive that trips, by its watchdog too, coasts, and the load drops; name a brake: \
-                 held_by = \"brake\"",
-            );
-        }
+        let wrong = self.reply_within_ns == 0 || self.reply_within_ns > 10 * S;
+        faults.wrong_if(wrong, "reply_within", "must be above 0 and at most 10 s");
+        let why = "must be the slot of the Ethernet interface: 4 onboard, 1 ... 3 an SI-Ethernet option";
+        faults.wrong_if(!(1..=4).contains(&self.slot), "slot", why);
+        faults.extend(self.axis.torque_fault("the drive takes speed setpoints, no torques"));
+        let trips = "a Unidrive that trips, by its watchdog too, coasts";
+        faults.extend(self.axis.dropped_fault(trips));
         faults
-    }
-
-    /// What only a drive with a position could do.
-    fn position_faults(&self) -> Vec<PlanFault> {
-        let units = &self.axis.units;
-        [
-            ("limits.position", self.axis.limits.position.is_some()),
-            ("limits.step", self.axis.limits.step.is_some()),
-            ("limits.following_error", matches!(self.axis.limits.following_error, FollowingError::Most(_))),
-            ("modulo", units.modulo.is_some()),
-            ("offset", units.offset != 0.0),
-        ]
-        .into_iter()
-        .filter(|(_, given)| *given)
-        .map(|(key, _)| {
-            PlanFault::new(key, "concerns positions, and this protocol has speeds only; leave it out")
-        })
-        .collect()
     }
 
     /// A reference is a whole number of `10^-decimals` rpm, with its sign in the control word.
     fn speed_faults(&self) -> Vec<PlanFault> {
-        let axis = &self.axis;
+        let (axis, mut faults) = (&self.axis, Vec::new());
         if axis.units.counts_per_unit == 0.0 || !axis.units.counts_per_unit.is_finite() {
-            return Vec::new(); // Reported for every axis.
+            return faults; // Reported for every axis.
         }
         let reference = &self.map.reference;
         let ends = (1, reference.width.range(true).1 as i32);
         let (least, most) = (reference.value(ends.0), reference.value(ends.1));
-        let mut faults = Vec::new();
-        for (key, value) in
-            [("profile.velocity", Some(axis.profile.velocity)), ("limits.velocity", axis.limits.velocity)]
-        {
-            let Some(rpm) = value.map(|value| self.rpm(value).abs()) else { continue };
-            if !(least..=most).contains(&rpm) {
-                let why = format!(
-                    "{rpm} rpm of the motor are outside the range of the drive, {least} ... {most} rpm; \
-                     change it or check scale"
-                );
-                faults.push(PlanFault::new(key, why));
-            }
+        for (key, value) in axis.velocities() {
+            let rpm = self.rpm(value).abs();
+            let why = format!(
+                "{rpm} rpm of the motor are outside the range of the drive, {least} ... {most} rpm; change it or \
+                 check scale"
+            );
+            faults.wrong_if(!(least..=most).contains(&rpm), key, why);
         }
-        if reference.width == Width::Word && axis.limits.velocity.is_none() {
-            let why = format!("missing; a reference of 16 bits needs one, up to {most} rpm of the motor");
-            faults.push(PlanFault::new("limits.velocity", why));
-        }
+        let missing = reference.width == Width::Word && axis.limits.velocity.is_none();
+        let why = format!("missing; a reference of 16 bits needs one, up to {most} rpm of the motor");
+        faults.wrong_if(missing, "limits.velocity", why);
         faults
     }
 
     fn watchdog_faults(&self, period_ns: u64) -> Vec<PlanFault> {
         let mut faults = Vec::new();
-        let mut wrong = |key, message| faults.push(PlanFault::new(key, message));
         // Any request is traffic. The next one follows in its turn, when the reply no longer counts at the latest.
         let silent_ns = period_ns.saturating_add(period_ns.max(self.reply_within_ns));
         match self.watchdog.timeout_ns {
             Some(ns) if ns == 0 || ns > WATCHDOG_MAX_NS || !ns.is_multiple_of(MS) => {
-                wrong("watchdog.timeout", "must be in whole milliseconds; use 1ms ... 65535ms".to_owned());
+                faults.wrong("watchdog.timeout", "must be in whole milliseconds; use 1ms ... 65535ms");
             }
-            Some(ns) if ns < silent_ns => wrong(
-                "watchdog.timeout",
-                format!(
-                    "trips the drive after {} without traffic, but {} may pass until the next request; allow \
-                     more, exchange more often, or lower reply_within",
-                    Ns(ns),
-                    Ns(silent_ns)
-                ),
-            ),
+            Some(ns) if ns < silent_ns => {
+                let (after, silent) = (Ns(ns), Ns(silent_ns));
+                let why = format!(
+                    "trips the drive after {after} without traffic, but {silent} may pass until the next request; \
+                     allow more, exchange more often, or lower reply_within"
+                );
+                faults.wrong("watchdog.timeout", why);
+            }
             _ => {}
         }
         let written_ns = self.control_written_every(period_ns);
-        if self.watchdog.keypad && KEYPAD_WATCHDOG_NS < written_ns.saturating_mul(2) {
-            wrong(
-                "watchdog.keypad",
-                format!(
-                    "trips the drive when its control word is not written for {}, but {} may pass between \
-                     two writes; exchange more often, or use the timeout",
-                    Ns(KEYPAD_WATCHDOG_NS),
-                    Ns(written_ns)
-                ),
-            );
-        }
+        let (after, written) = (Ns(KEYPAD_WATCHDOG_NS), Ns(written_ns));
+        let why = format!(
+            "trips the drive when its control word is not written for {after}, but {written} may pass between two \
+             writes; exchange more often, or use the timeout"
+        );
+        let trips = self.watchdog.keypad && KEYPAD_WATCHDOG_NS < written_ns.saturating_mul(2);
+        faults.wrong_if(trips, "watchdog.keypad", why);
         faults
     }
 
@@ -169,10 +124,7 @@ impl UnidriveDrive {
         ));
         lines.push(self.describe_loss(every.0));
         lines.push("takes velocities; no moves, no streams, no homing".to_owned());
-        let shown: Vec<String> = self.shown().into_iter().flatten().map(|channel| channel.name).collect();
-        if !shown.is_empty() {
-            lines.push(format!("shows {}", shown.join(", ")));
-        }
+        lines.extend(MonitorChannel::names(self.shown()).map(|names| format!("shows {names}")));
         if !self.set_up {
             lines.push(
                 "set_up = false: the master writes no settings, and enables the drive only if they are as \
@@ -258,11 +210,7 @@ impl UnidriveDrive {
         };
         match self.watchdog.within_ns() {
             Some(within) => format!("the drive trips within {} and its motor coasts ({how})", Ns(within)),
-            None if self.watchdog.accept_none => {
-                "nothing stops the drive: it keeps its last speed (no_drive_watchdog = \"accept\")".to_owned()
-            }
-            None => "nothing would stop the drive, so it is not enabled (no_drive_watchdog = \"refuse\")"
-                .to_owned(),
+            None => unwatched(self.watchdog.accept_none).to_owned(),
         }
     }
 }

@@ -4,8 +4,8 @@ use std::net::{Ipv4Addr, SocketAddrV4};
 
 use super::parameter::{Addressing, Parameter, Width};
 use fieldbeat_core::axis::feedback::MONITOR_CHANNELS;
-use fieldbeat_core::axis::{AxisPlan, MonitorChannel, Unit, Units};
-use fieldbeat_core::bus::variant::{self, Variant};
+use fieldbeat_core::axis::{AxisPlan, MonitorChannel, Units};
+use fieldbeat_core::bus::variant::Variant;
 use fieldbeat_core::time::{MS, S};
 
 /// Where a drive listens unless Pr S.15.005 says otherwise (SI-Ethernet guide).
@@ -195,15 +195,11 @@ impl ModbusPlan {
     pub(super) fn variant(&self, wanted: &Variant) -> Option<ModbusPlan> {
         let mut plan = self.clone();
         plan.bind = plan.bind.map(|bind| wanted.address(bind));
-        plan.drives = wanted.repeated(&self.drives, |drive, ahead| {
-            drive.axis.name = variant::name_behind(&drive.axis.name, ahead);
-            drive.address = variant::address_behind(drive.address, ahead);
-        });
+        plan.drives = wanted.hosts(&self.drives, |drive| (&mut drive.axis, &mut drive.address));
         for drive in &mut plan.drives {
             let was_ns = wanted.was_ns.saturating_mul(drive.axis.divisor.into());
             let is_usual =
                 drive.reply_within_ns == UnidriveDrive::usual_reply_within(&drive.watchdog, was_ns);
-            drive.address.set_ip(wanted.address(*drive.address.ip()));
             wanted.schedule(&mut drive.axis, 0);
             if is_usual {
                 let every_ns = wanted.every_ns(&drive.axis);
@@ -224,10 +220,9 @@ impl UnidriveDrive {
     /// A drive at this address, in revolutions of its motor, with everything else as it is when a configuration says
     /// nothing of it.
     pub fn new(name: impl Into<String>, address: Ipv4Addr) -> UnidriveDrive {
-        let units = Units { unit: Unit::Revolution, counts_per_unit: 1.0, offset: 0.0, modulo: None };
         let address = SocketAddrV4::new(address, PORT);
         UnidriveDrive {
-            axis: AxisPlan::new(name, units),
+            axis: AxisPlan::new(name, Units::revolutions(1.0)),
             address,
             serial: None,
             serial_from: Parameter::SERIAL,

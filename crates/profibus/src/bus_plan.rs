@@ -88,7 +88,13 @@ impl BusPlan for ProfibusPlan {
         Some(Box::new(ProfibusPlan { drives: vec![drive], ..self.clone() }))
     }
 
+    /// Its drives have to be its own, since their number decides what fits on the wire.
     fn variant(&self, wanted: &Variant) -> Option<Box<dyn BusPlan>> {
-        Some(Box::new(ProfibusPlan::variant(self, wanted)?))
+        if wanted.drives.is_some() {
+            return None;
+        }
+        let mut plan = ProfibusPlan { device: wanted.interface(&self.device), ..self.clone() };
+        plan.drives.iter_mut().for_each(|drive| wanted.schedule(&mut drive.axis, 0));
+        Some(Box::new(plan))
     }
 }

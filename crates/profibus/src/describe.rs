@@ -1,7 +1,8 @@
 //! What `check` says of a drive on a PROFIBUS wire.
 
 use super::plan::{CHANNEL, DriveProfile, LenzeDrive, ParameterPath, ProfibusPlan, Rs485};
-use fieldbeat_core::bus::Grid;
+use fieldbeat_core::axis::MonitorChannel;
+use fieldbeat_core::bus::{Grid, unwatched};
 use fieldbeat_core::time::{Ns, S};
 
 const WEARS: &str =
@@ -26,10 +27,7 @@ impl ProfibusPlan {
         if drive.parameters != ParameterPath::None {
             lines.push(WEARS.to_owned());
         }
-        let shown: Vec<String> = drive.shown().into_iter().flatten().map(|channel| channel.name).collect();
-        if !shown.is_empty() {
-            lines.push(format!("shows {}", shown.join(", ")));
-        }
+        lines.extend(MonitorChannel::names(drive.shown()).map(|names| format!("shows {names}")));
         lines.push(format!("if the master dies: {}", drive.describe_death()));
         lines.join("\n")
     }
@@ -125,11 +123,7 @@ impl LenzeDrive {
                  before it is enabled; what it does then is the drive's setting",
                 Ns(within)
             ),
-            None if self.watchdog.accept_none => {
-                "nothing stops the drive: it keeps its last speed (no_drive_watchdog = \"accept\")".to_owned()
-            }
-            None => "nothing would stop the drive, so it is not enabled (no_drive_watchdog = \"refuse\")"
-                .to_owned(),
+            None => unwatched(self.watchdog.accept_none).to_owned(),
         }
     }
 }

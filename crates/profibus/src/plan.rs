@@ -5,8 +5,7 @@
 
 use super::wire::dp::{self, dpv1};
 use fieldbeat_core::axis::feedback::MONITOR_CHANNELS;
-use fieldbeat_core::axis::{AxisPlan, MonitorChannel, Unit, Units};
-use fieldbeat_core::bus::variant::Variant;
+use fieldbeat_core::axis::{AxisPlan, MonitorChannel, Units};
 pub use fieldbeat_core::net::Rs485;
 use fieldbeat_core::net::{Parity, SerialLine};
 use fieldbeat_core::time::MS;
@@ -278,17 +277,6 @@ impl ProfibusPlan {
         }
     }
 
-    /// This wire in another machine; its drives have to be its own, since their number decides what fits on it.
-    pub(super) fn variant(&self, wanted: &Variant) -> Option<ProfibusPlan> {
-        if wanted.drives.is_some() {
-            return None;
-        }
-        let mut plan = self.clone();
-        plan.device = wanted.interface(&plan.device);
-        plan.drives.iter_mut().for_each(|drive| wanted.schedule(&mut drive.axis, 0));
-        Some(plan)
-    }
-
     /// How bytes are sent.
     pub fn line(&self) -> SerialLine {
         SerialLine { rate: self.rate, parity: Parity::Even, rs485: self.rs485 }
@@ -312,9 +300,8 @@ impl LenzeDrive {
     /// A drive at this address with two words of process data and the DRIVECOM channel, in revolutions of its motor,
     /// with everything else as it is when a configuration says nothing of it.
     pub fn new(name: impl Into<String>, address: u8) -> LenzeDrive {
-        let units = Units { unit: Unit::Revolution, counts_per_unit: 1.0, offset: 0.0, modulo: None };
         LenzeDrive {
-            axis: AxisPlan::new(name, units),
+            axis: AxisPlan::new(name, Units::revolutions(1.0)),
             address,
             ident: LenzeDrive::IDENT,
             user_prm: vec![dpv1::ENABLE, 0, 0],

@@ -55,7 +55,7 @@ pub use handle::{Axis, AxisEnds, AxisError, Samples};
 pub use limits::{Cannot, Lacks};
 pub use observer::Observer;
 pub use plan::{
-    AxisPlan, FollowingError, FoundRunning, Health, HeldBy, InPosition, Limits, Load, MonitorChannel,
+    AxisPlan, Faults, FollowingError, FoundRunning, Health, HeldBy, InPosition, Limits, Load, MonitorChannel,
     OwnerLost, PlanFault, StopHow, StopPlan, StopThen, StopTimeout, Underrun, is_plain_name,
 };
 pub use pulse::Pulse;

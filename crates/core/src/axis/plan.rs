@@ -1,5 +1,6 @@
 //! One axis as configured, already checked. `config/` builds it from TOML, an embedder by hand.
 
+use std::fmt::Display;
 use std::time::Duration;
 
 use super::command::Profile;
@@ -72,6 +73,15 @@ pub struct MonitorChannel {
     pub unit: &'static str,
 }
 
+impl MonitorChannel {
+    /// The names of those that are there, in a row; `None`: none is.
+    #[doc(hidden)]
+    pub fn names(shown: impl IntoIterator<Item = Option<MonitorChannel>>) -> Option<String> {
+        let names: Vec<String> = shown.into_iter().flatten().map(|channel| channel.name).collect();
+        (!names.is_empty()).then(|| names.join(", "))
+    }
+}
+
 impl AxisPlan {
     /// An axis of this name and unit, with the defaults of the configuration for everything else.
     pub fn new(name: impl Into<String>, units: Units) -> AxisPlan {
@@ -132,6 +142,25 @@ impl PlanFault {
     }
 }
 
+/// What is wrong with a plan, as it is found.
+pub trait Faults {
+    /// `key` is wrong for this reason.
+    fn wrong(&mut self, key: &'static str, message: impl Display);
+
+    /// `key` is wrong for this reason, if it `is`.
+    fn wrong_if(&mut self, is: bool, key: &'static str, message: impl Display) {
+        if is {
+            self.wrong(key, message);
+        }
+    }
+}
+
+impl Faults for Vec<PlanFault> {
+    fn wrong(&mut self, key: &'static str, message: impl Display) {
+        self.push(PlanFault::new(key, message.to_string()));
+    }
+}
+
 impl AxisPlan {
     /// What contradicts itself in this plan, or would not work: the same checks for a file and for a plan built in
     /// code.
@@ -146,37 +175,30 @@ impl AxisPlan {
 
     fn check_numbers(&self, faults: &mut Vec<PlanFault>) {
         let positive = |value: f64| value.is_finite() && value > 0.0;
-        let mut wrong = |key, message: String| faults.push(PlanFault::new(key, message));
-        let units = &self.units;
-        if !positive(units.counts_per_unit.abs()) || !units.offset.is_finite() {
-            wrong("scale", "must be a finite number other than 0, and offset must be finite".into());
-        }
-        if units.modulo.is_some_and(|turn| !positive(turn)) {
-            wrong("modulo", "must be above 0: the length of one turn".into());
-        }
-        if let Some((low, high)) = self.limits.position {
+        let (units, limits) = (&self.units, &self.limits);
+        let finite = positive(units.counts_per_unit.abs()) && units.offset.is_finite();
+        faults.wrong_if(!finite, "scale", "must be a finite number other than 0, and offset must be finite");
+        let wrong = units.modulo.is_some_and(|turn| !positive(turn));
+        faults.wrong_if(wrong, "modulo", "must be above 0: the length of one turn");
+        if let Some((low, high)) = limits.position {
             // NaN is not a limit either.
-            if low.partial_cmp(&high) != Some(std::cmp::Ordering::Less) {
-                wrong("limits.position", "must rise: [lowest, highest]".into());
-            }
-            if units.modulo.is_some() {
-                wrong("limits.position", "a modulo axis turns without end; leave out one of the two".into());
-            }
+            let rises = low.partial_cmp(&high) == Some(std::cmp::Ordering::Less);
+            faults.wrong_if(!rises, "limits.position", "must rise: [lowest, highest]");
+            let why = "a modulo axis turns without end; leave out one of the two";
+            faults.wrong_if(units.modulo.is_some(), "limits.position", why);
         }
-        let most = [
-            ("limits.velocity", self.limits.velocity),
-            ("limits.acceleration", self.limits.acceleration),
-            ("limits.step", self.limits.step),
-            ("limits.torque", self.limits.torque),
-            ("limits.homing", self.limits.homing),
-        ];
-        for (key, limit) in most {
-            if limit.is_some_and(|limit| !positive(limit)) {
-                wrong(key, "must be above 0; leave it out for no limit".into());
-            }
+        for (key, limit) in [
+            ("limits.velocity", limits.velocity),
+            ("limits.acceleration", limits.acceleration),
+            ("limits.step", limits.step),
+            ("limits.torque", limits.torque),
+            ("limits.homing", limits.homing),
+        ] {
+            let wrong = limit.is_some_and(|limit| !positive(limit));
+            faults.wrong_if(wrong, key, "must be above 0; leave it out for no limit");
         }
         let count = (1.0 / units.counts_per_unit).abs();
-        let most = match self.limits.following_error {
+        let most = match limits.following_error {
             FollowingError::Most(most) => Some(most),
             FollowingError::Derived | FollowingError::Off => None,
         };
@@ -184,23 +206,21 @@ impl AxisPlan {
             [("in_position.window", self.in_position.window), ("limits.following_error", most)]
         {
             // Written so that no number is not wide enough.
-            if window.is_some_and(|window| !(window.is_finite() && window >= count)) {
-                wrong(
-                    key,
-                    format!("must be a count of the drive at least, {count} {}; or \"off\"", units.unit),
-                );
-            }
+            let narrow = window.is_some_and(|window| !(window.is_finite() && window >= count));
+            let unit = units.unit;
+            let why = format!("must be a count of the drive at least, {count} {unit}; or \"off\"");
+            faults.wrong_if(narrow, key, why);
         }
-        let profile = [
-            ("profile.velocity", self.profile.velocity, "velocity", self.limits.velocity),
-            ("profile.acceleration", self.profile.acceleration, "acceleration", self.limits.acceleration),
-            ("profile.deceleration", self.profile.deceleration, "acceleration", self.limits.acceleration),
-        ];
-        for (key, value, limit, most) in profile {
+        for (key, value, limit, most) in [
+            ("profile.velocity", self.profile.velocity, "velocity", limits.velocity),
+            ("profile.acceleration", self.profile.acceleration, "acceleration", limits.acceleration),
+            ("profile.deceleration", self.profile.deceleration, "acceleration", limits.acceleration),
+        ] {
             match most {
-                _ if !positive(value) => wrong(key, "must be above 0".into()),
+                _ if !positive(value) => faults.wrong(key, "must be above 0"),
                 Some(most) if value > most => {
-                    wrong(key, format!("exceeds limits.{limit} = {most}; lower it or raise the limit"));
+                    let why = format!("exceeds limits.{limit} = {most}; lower it or raise the limit");
+                    faults.wrong(key, why);
                 }
                 _ => {}
             }
@@ -208,12 +228,9 @@ impl AxisPlan {
     }
 
     fn check_schedule(&self, faults: &mut Vec<PlanFault>) {
-        if self.phase >= self.divisor {
-            faults.push(PlanFault::new(
-                "phase",
-                format!("must be below divisor = {}; 0 is the first of its cycles", self.divisor),
-            ));
-        }
+        let divisor = self.divisor;
+        let why = format!("must be below divisor = {divisor}; 0 is the first of its cycles");
+        faults.wrong_if(self.phase >= divisor, "phase", why);
         for (key, value) in [
             ("health.bucket", self.health.bucket),
             ("health.leak", self.health.leak),
@@ -222,18 +239,14 @@ impl AxisPlan {
             ("in_position.for", self.in_position.reports.into()),
             ("setpoint_age", self.setpoint_age),
         ] {
-            if value == 0 {
-                faults.push(PlanFault::new(key, "must be at least 1"));
-            }
+            faults.wrong_if(value == 0, key, "must be at least 1");
         }
         for (key, room) in [
             ("command_queue", self.command_queue),
             ("stream_queue", self.stream_queue),
             ("event_queue", self.event_queue),
         ] {
-            if room == 0 {
-                faults.push(PlanFault::new(key, "must have room for at least one entry"));
-            }
+            faults.wrong_if(room == 0, key, "must have room for at least one entry");
         }
     }
 
@@ -241,45 +254,95 @@ impl AxisPlan {
     fn check_stop(&self, faults: &mut Vec<PlanFault>) {
         let (stop, unit) = (&self.stop, self.units.unit);
         if !(stop.deceleration > 0.0 && stop.deceleration.is_finite()) {
-            return faults.push(PlanFault::new("stop.deceleration", "must be above 0"));
+            return faults.wrong("stop.deceleration", "must be above 0");
         }
-        if !(stop.standstill > 0.0 && stop.standstill.is_finite()) {
-            faults.push(PlanFault::new("stop.standstill", "must be above 0"));
-        }
+        let positive = stop.standstill > 0.0 && stop.standstill.is_finite();
+        faults.wrong_if(!positive, "stop.standstill", "must be above 0");
         let velocity = self.limits.velocity.unwrap_or(self.profile.velocity);
         let needed = velocity / stop.deceleration;
         if stop.how == StopHow::Ramp && needed > stop.timeout.as_secs_f64() {
-            let needed_ns = Ns((needed.min(1e9) * S as f64) as u64);
-            faults.push(PlanFault::new(
+            let (needed, allowed) = (Ns((needed.min(1e9) * S as f64) as u64), Ns(nanos(stop.timeout)));
+            let ramp = format!("the ramp from {velocity} {unit}/s at {} {unit}/s²", stop.deceleration);
+            let remedy = "allow more, or raise stop.deceleration";
+            faults.wrong(
                 "stop.timeout",
-                format!(
-                    "the ramp from {velocity} {unit}/s at {} {unit}/s² takes {needed_ns}, longer than {}; \
-                     allow more, or \
-                     raise stop.deceleration",
-                    stop.deceleration,
-                    Ns(nanos(stop.timeout)),
-                ),
-            ));
+                format_args!("{ramp} takes {needed}, longer than {allowed}; {remedy}"),
+            );
         }
     }
 
     /// What would let a vertical load drop.
     fn check_load(&self, faults: &mut Vec<PlanFault>) {
         let Load::Vertical(held_by) = self.load else { return };
-        let mut wrong = |key, message| faults.push(PlanFault::new(key, message));
-        if self.stop.how == StopHow::Coast {
-            wrong("stop.how", "would let a vertical load drop; use \"ramp\" or \"quick\"");
-        }
+        let why = "would let a vertical load drop; use \"ramp\" or \"quick\"";
+        faults.wrong_if(self.stop.how == StopHow::Coast, "stop.how", why);
         if held_by == HeldBy::Drive {
-            let remedy = "would drop a load that only the drive holds; use \"hold\", or name a brake: \
+            let why = "would drop a load that only the drive holds; use \"hold\", or name a brake: \
                  held_by = \"brake\"";
-            if self.stop.then == StopThen::Disable {
-                wrong("stop.then", remedy);
-            }
-            if self.stop.on_timeout == StopTimeout::Disable {
-                wrong("stop.on_timeout", remedy);
-            }
+            faults.wrong_if(self.stop.then == StopThen::Disable, "stop.then", why);
+            faults.wrong_if(self.stop.on_timeout == StopTimeout::Disable, "stop.on_timeout", why);
         }
+    }
+
+    /// Of a drive that only takes speeds: what only one with a position could do.
+    #[doc(hidden)]
+    pub fn position_faults(&self) -> Vec<PlanFault> {
+        let (limits, units, mut faults) = (&self.limits, &self.units, Vec::new());
+        for (key, given) in [
+            ("limits.position", limits.position.is_some()),
+            ("limits.step", limits.step.is_some()),
+            ("limits.following_error", matches!(limits.following_error, FollowingError::Most(_))),
+            ("modulo", units.modulo.is_some()),
+            ("offset", units.offset != 0.0),
+        ] {
+            let why = "concerns positions, and this protocol has speeds only; leave it out";
+            faults.wrong_if(given, key, why);
+        }
+        faults
+    }
+
+    /// Of a drive without torque setpoints, as `what` says.
+    #[doc(hidden)]
+    pub fn torque_fault(&self, what: &str) -> Option<PlanFault> {
+        let why = || format!("has no effect: {what}; leave it out");
+        self.limits.torque.map(|_| PlanFault::new("limits.torque", why()))
+    }
+
+    /// Of a drive that does not always hold its load, as `what` says.
+    #[doc(hidden)]
+    pub fn dropped_fault(&self, what: &str) -> Option<PlanFault> {
+        let why = || format!("{what}, and the load drops; name a brake: held_by = \"brake\"");
+        (self.load == Load::Vertical(HeldBy::Drive)).then(|| PlanFault::new("held_by", why()))
+    }
+
+    /// Of these values, each by its key, with its range and what it is per: those outside of the range of the drive, with
+    /// the remedy. Its ends are shown as `shown` makes them.
+    #[doc(hidden)]
+    pub fn range_faults(
+        &self,
+        values: impl IntoIterator<Item = (&'static str, f64, [f64; 2], &'static str)>,
+        shown: impl Fn([f64; 2]) -> [f64; 2],
+        remedy: &str,
+    ) -> Vec<PlanFault> {
+        let (unit, mut faults, mut reported) = (self.units.unit, Vec::new(), None);
+        for (key, value, [least, most], per) in values {
+            // One acceleration may stand in for several of them.
+            if (least..=most).contains(&value) || reported == Some((value, per)) {
+                continue;
+            }
+            let [least, most] = shown([least, most]);
+            let what = format!("{value} is outside the range of the drive");
+            faults.wrong(key, format_args!("{what}, {least} ... {most} {unit}/{per}; {remedy}"));
+            reported = Some((value, per));
+        }
+        faults
+    }
+
+    /// Its velocities that are fixed, by their keys: that of moves, and the limit if there is one.
+    #[doc(hidden)]
+    pub fn velocities(&self) -> impl Iterator<Item = (&'static str, f64)> {
+        let limit = self.limits.velocity.map(|most| ("limits.velocity", most));
+        [("profile.velocity", self.profile.velocity)].into_iter().chain(limit)
     }
 }
 

@@ -57,6 +57,12 @@ impl Units {
         Units { unit: Unit::Millimetre, counts_per_unit, offset: 0.0, modulo: None }
     }
 
+    /// Revolutions of a motor on a drive that counts so many in one.
+    #[doc(hidden)]
+    pub fn revolutions(counts_per_unit: f64) -> Units {
+        Units { unit: Unit::Revolution, ..Units::millimetres(counts_per_unit) }
+    }
+
     /// Wire counts (unwrapped) to a user position.
     pub fn position(&self, counts: i64) -> f64 {
         self.folded(counts as f64 / self.counts_per_unit + self.offset)

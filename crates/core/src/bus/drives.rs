@@ -5,7 +5,7 @@ use std::net::SocketAddrV4;
 
 use super::OpenError;
 use crate::axis::acyclic::AcyclicEnds;
-use crate::axis::{AxisPlan, Observer, PlanFault};
+use crate::axis::{AxisPlan, Faults, Observer, PlanFault};
 use crate::net::{Carriers, Lock, Place};
 
 /// The application's ends of a bus.
@@ -74,9 +74,8 @@ pub fn faults<D>(
         let axis = axis(drive);
         let mut faults = axis.faults();
         faults.extend(own(drive, period_ns.saturating_mul(u64::from(axis.divisor))));
-        if drives[..index].iter().any(|other| same(other, drive)) {
-            faults.push(PlanFault::new("address", taken));
-        }
+        let is_taken = drives[..index].iter().any(|other| same(other, drive));
+        faults.wrong_if(is_taken, "address", taken);
         faults.into_iter().map(move |fault| (index, fault)).collect::<Vec<_>>()
     };
     drives.iter().enumerate().flat_map(of).collect()

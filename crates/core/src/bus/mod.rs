@@ -40,5 +40,5 @@ pub use self::counters::{BusClock, BusNumbers, Counters, OwnCounter, ProtocolCou
 pub use self::drives::{DeviceEnds, DriveEnds, Ends};
 pub use self::error::OpenError;
 pub use self::facts::{BusFacts, DriveFacts, ReplyWithin};
-pub use self::plan::{BusPlan, Grid};
+pub use self::plan::{BusPlan, Grid, unwatched};
 pub use self::prepared::Prepared;

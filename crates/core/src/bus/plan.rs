@@ -35,6 +35,14 @@ impl Grid {
     }
 }
 
+/// What `check` says of a drive that nothing stops if the master dies.
+pub const fn unwatched(is_accepted: bool) -> &'static str {
+    match is_accepted {
+        true => "nothing stops the drive: it keeps its last speed (no_drive_watchdog = \"accept\")",
+        false => "nothing would stop the drive, so it is not enabled (no_drive_watchdog = \"refuse\")",
+    }
+}
+
 /// A bus as configured and checked, before any socket is open. The plans of the protocols of this library implement it.
 pub trait BusPlan: Any + Debug + Send + Sync {
     /// Its name in messages.

@@ -50,16 +50,26 @@ impl Variant {
         axis.divisor = short(divisor);
     }
 
-    /// The drives of the bus: its own, or so many like the first of them. `move_behind` gives one the name and the
-    /// place of the drive so many places behind.
-    pub fn repeated<D: Clone>(&self, drives: &[D], move_behind: impl Fn(&mut D, usize)) -> Vec<D> {
-        let (Some(count), Some(first)) = (self.drives, drives.first()) else { return drives.to_vec() };
-        let behind = |ahead| {
-            let mut drive = first.clone();
-            move_behind(&mut drive, ahead);
-            drive
+    /// The drives of a bus that have IP addresses, which `parts` shows with their names: its own, or so many like the
+    /// first of them.
+    pub fn hosts<D: Clone>(
+        &self,
+        drives: &[D],
+        parts: fn(&mut D) -> (&mut AxisPlan, &mut SocketAddrV4),
+    ) -> Vec<D> {
+        let mut all = match (self.drives, drives.first()) {
+            (Some(count), Some(first)) => vec![first.clone(); count],
+            _ => drives.to_vec(),
         };
-        (0..count).map(behind).collect()
+        for (ahead, drive) in all.iter_mut().enumerate() {
+            let (axis, address) = parts(drive);
+            if self.drives.is_some() {
+                axis.name = name_behind(&axis.name, ahead);
+                *address = address_behind(*address, ahead);
+            }
+            address.set_ip(self.address(*address.ip()));
+        }
+        all
     }
 
     /// The time between two exchanges of `axis`, ns.
@@ -69,14 +79,14 @@ impl Variant {
 }
 
 /// The name of the drive `ahead` places behind the one that is called `first`: `a3` is two behind `a1`.
-pub fn name_behind(first: &str, ahead: usize) -> String {
+fn name_behind(first: &str, ahead: usize) -> String {
     let stem = first.trim_end_matches(|c: char| c.is_ascii_digit());
     let number = first[stem.len()..].parse::<usize>().unwrap_or(1);
     format!("{stem}{}", number.saturating_add(ahead))
 }
 
 /// The address `ahead` places behind `first`.
-pub fn address_behind(first: SocketAddrV4, ahead: usize) -> SocketAddrV4 {
+fn address_behind(first: SocketAddrV4, ahead: usize) -> SocketAddrV4 {
     let ip = u32::from(*first.ip()).saturating_add(u32::try_from(ahead).unwrap_or(u32::MAX));
     SocketAddrV4::new(Ipv4Addr::from(ip), first.port())
 }

@@ -14,7 +14,7 @@ use crate::object::{Family, Object, Type};
 use crate::outputs::{Unowned, source};
 use crate::start_up::cycle_time;
 use fieldbeat_core::axis::is_plain_name;
-use fieldbeat_core::axis::{FollowingError, HeldBy, Load, PlanFault};
+use fieldbeat_core::axis::{Faults, FollowingError, PlanFault};
 use fieldbeat_core::time::{Ns, US};
 
 /// The period of a drive's position controller, of which the cycle of the bus is a multiple (EtherCAT manual).
@@ -44,16 +44,6 @@ type Keys = [&'static str; 2];
 const OF_A_DRIVE: Keys = ["buffers"; 2];
 const OF_A_DEVICE: Keys = ["outputs", "inputs"];
 
-/// What is wrong with one slave, or with the segment.
-#[derive(Default)]
-struct Found(Vec<PlanFault>);
-
-impl Found {
-    fn wrong(&mut self, key: &'static str, message: impl Into<String>) {
-        self.0.push(PlanFault::new(key, message));
-    }
-}
-
 impl EthercatPlan {
     /// What is wrong, with the place of the drive: what is wrong with the segment or with a device is put down to the
     /// first one.
@@ -62,7 +52,7 @@ impl EthercatPlan {
         for (index, drive) in self.drives.iter().enumerate() {
             faults.extend(drive.axis.faults().into_iter().map(|fault| (index, fault)));
         }
-        faults.extend(self.check_names().0.into_iter().map(|fault| (0, fault)));
+        faults.extend(self.check_names().into_iter().map(|fault| (0, fault)));
         faults.extend(self.findings(period_ns).into_iter().map(|(owner, fault)| match owner {
             Some(Owner::Drive(index)) => (index, fault),
             Some(Owner::Device(index)) => {
@@ -75,17 +65,15 @@ impl EthercatPlan {
     }
 
     /// The names of devices; those of drives are looked at for all protocols.
-    fn check_names(&self) -> Found {
-        let mut found = Found::default();
+    fn check_names(&self) -> Vec<PlanFault> {
+        let mut found = Vec::new();
         for (index, Device { name, .. }) in self.devices.iter().enumerate() {
-            if !is_plain_name(name) {
-                found
-                    .wrong("device", format!("{name:?}: its name must be 1 to 32 letters, digits, - _ or ."));
-            }
+            let why = format!("{name:?}: its name must be 1 to 32 letters, digits, - _ or .");
+            found.wrong_if(!is_plain_name(name), "device", why);
             let of_drive = self.drives.iter().any(|drive| drive.axis.name == *name);
-            if of_drive || self.devices[..index].iter().any(|other| other.name == *name) {
-                found.wrong("device", format!("{name}: its name is taken; names are unique in the machine"));
-            }
+            let is_taken = of_drive || self.devices[..index].iter().any(|other| other.name == *name);
+            let why = format!("{name}: its name is taken; names are unique in the machine");
+            found.wrong_if(is_taken, "device", why);
         }
         found
     }
@@ -93,11 +81,10 @@ impl EthercatPlan {
     /// What is wrong, and whose it is, the segment's or a slave's; all that a drive has as an axis left out.
     #[doc(hidden)]
     pub fn findings(&self, period_ns: u64) -> Vec<(Option<Owner>, PlanFault)> {
-        let mut faults: Vec<_> =
-            self.check_line(period_ns).0.into_iter().map(|fault| (None, fault)).collect();
+        let mut faults: Vec<_> = self.check_line(period_ns).into_iter().map(|fault| (None, fault)).collect();
         let mut last: Option<(u16, Owner)> = None;
         for (owner, slave) in self.slaves() {
-            let mut found = Found::default();
+            let mut found = Vec::new();
             if let Some((_, first)) = last.filter(|(place, _)| *place == slave.place) {
                 let (place, first) = (slave.place, self.name_of(first));
                 let rule = "each slave has its own, counted from 0 at the master";
@@ -108,31 +95,22 @@ impl EthercatPlan {
                 Owner::Drive(index) => self.drives[index].check(period_ns, &mut found),
                 Owner::Device(index) => self.devices[index].check(period_ns, &mut found),
             }
-            faults.extend(found.0.into_iter().map(|fault| (Some(owner), fault)));
+            faults.extend(found.into_iter().map(|fault| (Some(owner), fault)));
         }
         faults
     }
 
-    fn check_line(&self, period_ns: u64) -> Found {
-        let mut found = Found::default();
-        if !is_interface(&self.interface) {
-            found.wrong(
-                "interface",
-                "must be the name of a network interface, at most 15 characters like \"eth1\"; or \
-                 \"local:NAME\" for simulated drives on this computer",
-            );
-        }
-        if self.ahead_of_sync_ns.is_some_and(|ahead| ahead == 0 || ahead >= period_ns) {
-            let period = Ns(period_ns);
-            let why = format!("must be above 0 and below the period of {period}; half of it is usual");
-            found.wrong("sync_ahead", why);
-        }
-        if let Some(message) = self.period_fault(period_ns) {
-            found.wrong("period", message);
-        }
-        if self.frames().is_none() {
-            found.wrong("interface", "has a slave with more process data than fit into a frame");
-        }
+    fn check_line(&self, period_ns: u64) -> Vec<PlanFault> {
+        let mut found = Vec::new();
+        let why = "must be the name of a network interface, at most 15 characters like \"eth1\"; or \"local:NAME\" \
+                   for simulated drives on this computer";
+        found.wrong_if(!is_interface(&self.interface), "interface", why);
+        let why = format!("must be above 0 and below the period of {}; half of it is usual", Ns(period_ns));
+        let wrong = self.ahead_of_sync_ns.is_some_and(|ahead| ahead == 0 || ahead >= period_ns);
+        found.wrong_if(wrong, "sync_ahead", why);
+        found.extend(self.period_fault(period_ns).map(|why| PlanFault::new("period", why)));
+        let why = "has a slave with more process data than fit into a frame";
+        found.wrong_if(self.frames().is_none(), "interface", why);
         found
     }
 
@@ -168,23 +146,21 @@ impl EthercatPlan {
 
 impl SlavePlan {
     /// What is wrong with its memory and its watchdog.
-    fn check(&self, period_ns: u64, keys: Keys, found: &mut Found) {
+    fn check(&self, period_ns: u64, keys: Keys, found: &mut Vec<PlanFault>) {
         self.check_memory(keys, found);
         let Some(watchdog_ns) = self.watchdog.ns() else { return };
-        if !watchdog_ns.is_multiple_of(WATCHDOG_STEP_NS)
-            || !(1..=WATCHDOG_STEPS).contains(&(watchdog_ns / WATCHDOG_STEP_NS))
-        {
-            let step = Ns(WATCHDOG_STEP_NS);
-            let why = format!("must be a whole multiple of {step} (register 0420h); use 100us ... 6553.5ms");
-            found.wrong("watchdog", why);
-        } else if watchdog_ns <= period_ns.saturating_mul(2) {
-            let (after, gap) = (Ns(watchdog_ns), Ns(period_ns.saturating_mul(2)));
-            let why = "without outputs, and one lost frame makes a gap of two periods";
-            found.wrong("watchdog", format!("trips after {after} {why}, {gap}; allow more than that"));
-        }
+        let (steps, gap_ns) = (watchdog_ns / WATCHDOG_STEP_NS, period_ns.saturating_mul(2));
+        let is_whole = watchdog_ns.is_multiple_of(WATCHDOG_STEP_NS) && (1..=WATCHDOG_STEPS).contains(&steps);
+        let step = Ns(WATCHDOG_STEP_NS);
+        let why = format!("must be a whole multiple of {step} (register 0420h); use 100us ... 6553.5ms");
+        found.wrong_if(!is_whole, "watchdog", why);
+        let (after, gap) = (Ns(watchdog_ns), Ns(gap_ns));
+        let what = "without outputs, and one lost frame makes a gap of two periods";
+        let why = format!("trips after {after} {what}, {gap}; allow more than that");
+        found.wrong_if(is_whole && watchdog_ns <= gap_ns, "watchdog", why);
     }
 
-    fn check_memory(&self, keys: Keys, found: &mut Found) {
+    fn check_memory(&self, keys: Keys, found: &mut Vec<PlanFault>) {
         for (key, name, areas) in [(keys[0], "outputs", &self.outputs), (keys[1], "inputs", &self.inputs)] {
             let bytes: usize = areas.iter().map(|area| usize::from(area.length)).sum();
             let why = match () {
@@ -263,12 +239,10 @@ fn what(name: &str, bytes: &Range<u32>) -> String {
 
 impl KollmorgenDrive {
     /// What is wrong with it, all that it has as an axis left out.
-    fn check(&self, period_ns: u64, found: &mut Found) {
+    fn check(&self, period_ns: u64, found: &mut Vec<PlanFault>) {
         self.slave.check(period_ns, OF_A_DRIVE, found);
         self.check_layouts(found);
-        if let Some(why) = self.mode_fault() {
-            found.wrong("mode", why);
-        }
+        found.extend(self.mode_fault().map(|why| PlanFault::new("mode", why)));
         self.check_scaling(period_ns, found);
         match self.slave.mailbox {
             None => found.wrong("mailbox", "missing; a drive is configured through it"),
@@ -281,29 +255,24 @@ impl KollmorgenDrive {
         if let Some(start) = long.filter(|_| self.family == Family::S700) {
             found.wrong("start_up", too_long(start));
         }
-        if self.axis.load == Load::Vertical(HeldBy::Drive) {
-            found.wrong(
-                "held_by",
-                "a drive whose watchdog trips, or that loses the cycle (F28), stops and then switches its \
-                 power off, and the load drops; name a brake: held_by = \"brake\"",
-            );
-        }
+        let trips = "a drive whose watchdog trips, or that loses the cycle (F28), stops and then switches its power \
+                     off";
+        found.extend(self.axis.dropped_fault(trips));
         for Entry { object, .. } in self.show.iter().flatten().filter(|entry| entry.kind.is_string()) {
             found.wrong("monitor", format!("{object} is a text; monitor objects with numbers"));
         }
     }
 
     /// What the station needs in the process data.
-    fn check_layouts(&self, found: &mut Found) {
+    fn check_layouts(&self, found: &mut Vec<PlanFault>) {
         let pdos = [
             ("pdo.outputs", &self.outputs, self.slave.output_bytes(), CONTROL_WORD, "control word", true),
             ("pdo.inputs", &self.inputs, self.slave.input_bytes(), STATUS_WORD, "status word", false),
         ];
         for (key, layout, bytes, word, name, is_output) in pdos {
-            if layout.is_output() != is_output {
-                let wanted = if is_output { "16xxh or 17xxh" } else { "1Axxh or 1Bxxh" };
-                found.wrong(key, format!("{:04X}h has the other direction; use one of {wanted}", layout.pdo));
-            }
+            let wanted = if is_output { "16xxh or 17xxh" } else { "1Axxh or 1Bxxh" };
+            let why = format!("{:04X}h has the other direction; use one of {wanted}", layout.pdo);
+            found.wrong_if(layout.is_output() != is_output, key, why);
             if layout.place(word).is_none() {
                 found.wrong(key, format!("has no {name}; map {word}"));
             } else if !layout.entries.contains(&Entry { object: word, kind: Type::U16 }) {
@@ -316,35 +285,23 @@ impl KollmorgenDrive {
             if let Some((_, object)) = layout.places().map(|(at, entry)| (at, entry.object)).find(twice) {
                 found.wrong(key, format!("has {object} twice"));
             }
-            if self.mapping == Mapping::Free && layout.pdo & 0x0100 != 0 {
-                let free = if is_output { "1600h" } else { "1A00h" };
-                let pdo = layout.pdo;
-                let why = format!("{pdo:04X}h is fixed, and mapping = \"free\" writes to it; use {free}");
-                found.wrong(key, why);
-            }
-            if bytes != layout.size() {
-                found.wrong(key, format!("has {} bytes, and its buffer has {bytes}", layout.size()));
-            }
+            let (pdo, free) = (layout.pdo, if is_output { "1600h" } else { "1A00h" });
+            let why = format!("{pdo:04X}h is fixed, and mapping = \"free\" writes to it; use {free}");
+            found.wrong_if(self.mapping == Mapping::Free && pdo & 0x0100 != 0, key, why);
+            let size = layout.size();
+            found.wrong_if(bytes != size, key, format!("has {size} bytes, and its buffer has {bytes}"));
         }
         for entry in &self.outputs.entries {
             if let Err(why) = source(self, *entry) {
                 found.wrong("pdo.outputs", self.unowned(*entry, why));
             }
         }
-        if self.targets().next().is_none() && !self.native {
-            found.wrong(
-                "pdo.outputs",
-                "has no setpoint; map one of 0x60C1:1 or 0x607A:0 (position), 0x606B:0 or 0x60FF:0 \
-                 (velocity), 0x6074:0 or 0x6071:0 (torque)",
-            );
-        }
-        if let Some((object, kind)) = self.setpoint().map(Setpoint::shape)
-            && !self.outputs.entries.contains(&Entry { object, kind })
-        {
-            found.wrong(
-                "pdo.outputs",
-                format!("has a setpoint of another type; write {object}.{}", kind.name()),
-            );
+        let why = "has no setpoint; map one of 0x60C1:1 or 0x607A:0 (position), 0x606B:0 or 0x60FF:0 (velocity), \
+                   0x6074:0 or 0x6071:0 (torque)";
+        found.wrong_if(self.targets().next().is_none() && !self.native, "pdo.outputs", why);
+        if let Some((object, kind)) = self.setpoint().map(Setpoint::shape) {
+            let why = format!("has a setpoint of another type; write {object}.{}", kind.name());
+            found.wrong_if(!self.outputs.entries.contains(&Entry { object, kind }), "pdo.outputs", why);
         }
     }
 
@@ -416,44 +373,30 @@ impl KollmorgenDrive {
     }
 
     /// Numbers that the wire could not carry.
-    fn check_scaling(&self, period_ns: u64, found: &mut Found) {
+    fn check_scaling(&self, period_ns: u64, found: &mut Vec<PlanFault>) {
         let scaling = &self.scaling;
-        if !(1..=31).contains(&scaling.prbase) {
-            found.wrong("prbase", "must be 1 ... 31; 20 makes 1048576 increments per turn");
-        }
-        let positive = |value: f64| value > 0.0 && value.is_finite();
+        let wrong = !(1..=31).contains(&scaling.prbase);
+        found.wrong_if(wrong, "prbase", "must be 1 ... 31; 20 makes 1048576 increments per turn");
         for (key, value) in [
             ("velocity_rpm_per_count", scaling.rpm_per_count),
             ("torque_permille_per_count", scaling.permille_per_count),
             ("rated_current", scaling.rated_current.unwrap_or(1.0)),
         ] {
-            if !positive(value) {
-                found.wrong(key, "must be above 0");
-            }
+            found.wrong_if(!(value > 0.0 && value.is_finite()), key, "must be above 0");
         }
         let least = 1_000.0 / f64::from(i16::MAX);
-        if matches!(self.setpoint(), Some(Setpoint::Torque(_))) && scaling.permille_per_count < least {
-            let why = format!("must be at least {least:.4}, so that 16 bits hold the rated torque");
-            found.wrong("torque_permille_per_count", why);
-        }
-        if matches!(self.axis.limits.following_error, FollowingError::Most(_))
-            && !matches!(self.setpoint(), Some(Setpoint::Position(_)))
-        {
-            found.wrong(
-                "limits.following_error",
-                "concerns a demand of positions, and this drive gets none from the master; leave it out",
-            );
-        }
+        let is_torque = matches!(self.setpoint(), Some(Setpoint::Torque(_)));
+        let why = format!("must be at least {least:.4}, so that 16 bits hold the rated torque");
+        found.wrong_if(is_torque && scaling.permille_per_count < least, "torque_permille_per_count", why);
+        let is_position = matches!(self.setpoint(), Some(Setpoint::Position(_)));
+        let is_given = matches!(self.axis.limits.following_error, FollowingError::Most(_));
+        let why = "concerns a demand of positions, and this drive gets none from the master; leave it out";
+        found.wrong_if(is_given && !is_position, "limits.following_error", why);
         if self.axis.units.counts_per_unit == 0.0 || !self.axis.units.counts_per_unit.is_finite() {
             return; // Reported for every axis.
         }
-        for (key, value) in [
-            ("profile.velocity", Some(self.axis.profile.velocity)),
-            ("limits.velocity", self.axis.limits.velocity),
-        ] {
-            if let Some(why) = value.and_then(|value| self.velocity_fault(value, period_ns)) {
-                found.wrong(key, why);
-            }
+        for (key, value) in self.axis.velocities() {
+            found.extend(self.velocity_fault(value, period_ns).map(|why| PlanFault::new(key, why)));
         }
     }
 
@@ -482,12 +425,11 @@ impl KollmorgenDrive {
 }
 
 impl Device {
-    fn check(&self, period_ns: u64, found: &mut Found) {
+    fn check(&self, period_ns: u64, found: &mut Vec<PlanFault>) {
         self.slave.check(period_ns, OF_A_DEVICE, found);
-        if self.slave.mailbox.is_none() && !self.slave.start_up.is_empty() {
-            let why = "is written through the mailbox, and the device has none; give its mailbox";
-            found.wrong("start_up", why);
-        }
+        let mute = self.slave.mailbox.is_none() && !self.slave.start_up.is_empty();
+        let why = "is written through the mailbox, and the device has none; give its mailbox";
+        found.wrong_if(mute, "start_up", why);
         let is_small = self.slave.mailbox.is_some_and(|[out, _]| out.length <= SDO);
         let long = self.slave.start_up.iter().find(|start| start.bytes() > EXPEDITED);
         if let Some(start) = long.filter(|_| is_small) {

@@ -1,5 +1,8 @@
+use std::any::Any;
+
 use super::*;
-use fieldbeat_core::axis::{HeldBy, Load, PlanFault};
+use fieldbeat_core::axis::{HeldBy, Load, PlanFault, Unit};
+use fieldbeat_core::bus::variant::Variant;
 use fieldbeat_core::bus::{BusPlan, Grid};
 use fieldbeat_core::cycle::bound::{Paced, bound, stop_bound};
 use fieldbeat_core::cycle::{CyclePlan, Plan};
@@ -171,7 +174,8 @@ fn addresses_of_two_drives_and_of_the_master_differ_and_another_machine_has_its_
     // Another machine has its own.
     let plan = bus(vec![drive()]);
     let wanted = Variant { was_ns: MS, period_ns: MS / 4, drives: Some(3), place: 1 };
-    let other = EthernetIpPlan::variant(&plan, &wanted).unwrap();
+    let other = plan.variant(&wanted).unwrap() as Box<dyn Any>;
+    let other = other.downcast::<EthernetIpPlan>().unwrap();
     assert_eq!(other.bind, SocketAddrV4::new([192, 241, 1, 1].into(), IO_PORT));
     assert_eq!(other.originator, Originator::at([192, 241, 1, 1].into()));
     let addresses: Vec<_> = other.drives.iter().map(|drive| drive.address.ip().octets()[3]).collect();
