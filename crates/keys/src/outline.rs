@@ -59,6 +59,12 @@ pub enum Usual {
 pub const RANGE: Line =
     Line::ask("limits.position", "Allowed range, like [0, 100] (none: any)", Usual::Optional);
 
+/// Of a bus that is bound to an address of this computer.
+pub const BIND: Line =
+    Line::ask("bind", "Address of this computer on the network of the drives", Usual::From(own_address));
+/// Of a drive with an IP address.
+pub const ADDRESS: Line = Line::ask("address", "Address of the drive", Usual::From(neighbour));
+
 /// What is known already.
 pub struct Known<'a> {
     /// The place of the drive on its bus.
@@ -158,19 +164,34 @@ pub enum Answer {
     Other(&'static str),
 }
 
-/// What is at an address by who answers there; one of a master of this host is left alone, and named.
-pub fn probed(address: SocketAddrV4, usual_port: u16, answer: impl FnOnce() -> Answer) -> Option<Found> {
-    let shown = if address.port() == usual_port { address.ip().to_string() } else { address.to_string() };
-    match Place::Drive(address).lock() {
-        Err(why) => Some(Found { what: format!("{shown} {why}"), lines: Vec::new() }),
-        Ok(_lock) => match answer() {
-            Answer::None => None,
-            Answer::Drive(what) => {
-                Some(Found { what: format!("{what} at {shown}"), lines: vec![("address", shown)] })
+/// An address, without the port that is usual.
+pub fn shown(address: SocketAddrV4, usual_port: u16) -> String {
+    if address.port() == usual_port { address.ip().to_string() } else { address.to_string() }
+}
+
+/// What is at these addresses, one after the other as long as `goes_on`; `ask` says who answers there, and the serial
+/// number of a drive. One of a master of this host is left alone, and named.
+pub fn probed<N: ToString>(
+    addresses: &[SocketAddrV4],
+    usual_port: u16,
+    goes_on: &dyn Fn() -> bool,
+    mut ask: impl FnMut(SocketAddrV4) -> (Answer, Option<N>),
+) -> Vec<Found> {
+    let at = |address: &SocketAddrV4| {
+        let shown = shown(*address, usual_port);
+        let other = |what| Some(Found { what, lines: Vec::new() });
+        match Place::Drive(*address).lock().map(|_lock| ask(*address)) {
+            Err(why) => other(format!("{shown} {why}")),
+            Ok((Answer::None, _)) => None,
+            Ok((Answer::Other(what), _)) => other(format!("{what} at {shown}")),
+            Ok((Answer::Drive(what), serial)) => {
+                let what = format!("{what} at {shown}");
+                let serial = serial.map(|serial| ("serial", serial.to_string()));
+                Some(Found { what, lines: [("address", shown)].into_iter().chain(serial).collect() })
             }
-            Answer::Other(what) => Some(Found { what: format!("{what} at {shown}"), lines: Vec::new() }),
-        },
-    }
+        }
+    };
+    addresses.iter().take_while(|_| goes_on()).filter_map(at).collect()
 }
 
 /// The own address of `bind`; any without it.

@@ -7,17 +7,13 @@ use super::tools::vendor;
 use crate::plan::{IO_PORT, PORT};
 use crate::wire::encapsulation::Identity;
 use fieldbeat_keys::outline::{
-    Found, Known, Line, Outline, RANGE, Search, Unit, Usual, neighbour, own, own_address,
+    ADDRESS, BIND, Found, Known, Line, Outline, RANGE, Search, Unit, Usual, own, shown,
 };
 
 pub(super) const OUTLINE: Outline = Outline {
     period: "10ms",
-    bus: &[Line::ask(
-        "bind",
-        "Address of this computer on the network of the drives",
-        Usual::From(own_address),
-    )],
-    drive: &[Line::ask("address", "Address of the drive", Usual::From(neighbour))],
+    bus: &[BIND],
+    drive: &[ADDRESS],
     unit: Unit::REVOLUTION,
     behind: &[
         RANGE,
@@ -56,9 +52,7 @@ fn found(device: &Device) -> Found {
     let what = format!("{} at {}", name.trim(), device.from.ip());
     match vendor(*by) {
         Some(_) => {
-            let is_usual = device.from.port() == PORT;
-            let address = if is_usual { device.from.ip().to_string() } else { device.from.to_string() };
-            let mut lines = vec![("address", address)];
+            let mut lines = vec![("address", shown(device.from, PORT))];
             // 0 is no number.
             lines.extend((*product_code != 0).then(|| ("product", product_code.to_string())));
             lines.extend((*serial != 0).then(|| ("serial", format!("{serial:#010x}"))));

@@ -7,7 +7,7 @@ use crate::plan::{DRIVE_PORT, MASTER_PORT};
 use crate::upid::Upid;
 use crate::wire::{ParseError, Request, Response, ResponseDef, RtcBlock, RtcCommand, RtcStatus};
 use fieldbeat_keys::outline::{
-    Answer, Found, Known, Line, Outline, RANGE, Search, Unit, Usual, neighbour, own, own_address, probed,
+    ADDRESS, Answer, BIND, Found, Known, Line, Outline, RANGE, Search, Unit, Usual, own, probed,
 };
 
 /// A drive answers within a millisecond or two.
@@ -19,12 +19,8 @@ const ROOM: usize = 1_024;
 
 pub(super) const OUTLINE: Outline = Outline {
     period: "2ms",
-    bus: &[Line::ask(
-        "bind",
-        "Address of this computer on the network of the drives",
-        Usual::From(own_address),
-    )],
-    drive: &[Line::ask("address", "Address of the drive", Usual::From(neighbour))],
+    bus: &[BIND],
+    drive: &[ADDRESS],
     unit: Unit { name: "mm", counts: "Drive counts in one unit", scale: "10000" },
     behind: &[
         RANGE,
@@ -63,22 +59,11 @@ fn probe(
     ready.map_err(|error| format!("cannot receive answers: {error}"))?;
     let times = if addresses.len() == 1 { MOST_ASKED } else { 1 };
     let serial_from = (known.answer)("serial_from").and_then(|from| Upid::parse(&from));
-    let mut found = Vec::new();
-    for address in addresses.iter().take_while(|_| goes_on()) {
-        let mut serial = None;
-        let there = probed(*address, DRIVE_PORT, || {
-            let answer = ask(&socket, *address, times);
-            if let (Answer::Drive(_), Some(from)) = (answer, serial_from) {
-                serial = read(&socket, *address, from);
-            }
-            answer
-        });
-        found.extend(there.map(|mut found| {
-            found.lines.extend(serial.map(|serial| ("serial", serial.to_string())));
-            found
-        }));
-    }
-    Ok(found)
+    Ok(probed(addresses, DRIVE_PORT, goes_on, |address| {
+        let answer = ask(&socket, address, times);
+        let from = serial_from.filter(|_| matches!(answer, Answer::Drive(_)));
+        (answer, from.and_then(|from| read(&socket, address, from)))
+    }))
 }
 
 /// What a parameter of a drive has. A command runs if its count is another one than that of the last.

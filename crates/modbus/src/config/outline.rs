@@ -8,7 +8,7 @@ use std::time::Duration;
 use crate::parameter::{Addressing, Parameter, Width};
 use crate::plan::{PORT, UnidriveDrive};
 use crate::wire::{self, ADU_MAX, Header, Request, Response};
-use fieldbeat_keys::outline::{Answer, Found, Known, Line, Outline, Search, Unit, Usual, neighbour, probed};
+use fieldbeat_keys::outline::{ADDRESS, Answer, Found, Known, Line, Outline, Search, Unit, Usual, probed};
 use fieldbeat_keys::value::duration;
 
 /// The highest version of a firmware: aa.bb.cc.dd as digits.
@@ -29,7 +29,7 @@ pub(super) const OUTLINE: Outline = Outline {
         "Address of this computer on the network of the drives (none: any)",
         Usual::Optional,
     )],
-    drive: &[Line::ask("address", "Address of the drive", Usual::From(neighbour))],
+    drive: &[ADDRESS],
     unit: Unit::REVOLUTION,
     behind: &[Line::ask(
         "watchdog.timeout",
@@ -54,20 +54,7 @@ fn probe(
 ) -> Result<Vec<Found>, String> {
     let configured = (known.answer)("reply_within").and_then(|time| duration(&time));
     let reply = configured.map_or(REPLY, |ns| REPLY.max(Duration::from_nanos(ns)));
-    let mut found = Vec::new();
-    for address in addresses.iter().take_while(|_| goes_on()) {
-        let mut serial = None;
-        let there = probed(*address, PORT, || {
-            let (answer, number) = ask(*address, reply);
-            serial = number;
-            answer
-        });
-        found.extend(there.map(|mut found| {
-            found.lines.extend(serial.map(|serial| ("serial", serial.to_string())));
-            found
-        }));
-    }
-    Ok(found)
+    Ok(probed(addresses, PORT, goes_on, |address| ask(address, reply)))
 }
 
 /// Who answers at an address, each time within `patience`, and the serial number of a drive.
