@@ -19,8 +19,8 @@ pub struct Tool {
     pub name: &'static str,
     /// What it is for, in one sentence without its point.
     pub about: &'static str,
-    /// Adds its arguments.
-    pub arguments: fn(Command) -> Command,
+    /// Adds its subcommands.
+    pub subcommands: fn(Command) -> Command,
     /// Does it.
     pub run: fn(&ArgMatches, &dyn Program) -> Result<(), Stop>,
 }
@@ -28,7 +28,8 @@ pub struct Tool {
 impl Tool {
     /// What clap knows of it.
     pub fn command(&self) -> Command {
-        (self.arguments)(Command::new(self.name)).about(self.about)
+        let command = Command::new(self.name).subcommand_required(true).arg_required_else_help(true);
+        (self.subcommands)(command).about(self.about)
     }
 }
 

@@ -17,21 +17,14 @@ use fieldbeat_tools::{Program, Stop, Tool, arguments, table};
 pub const TOOLS: &[Tool] = &[Tool {
     name: "ethercat",
     about: "The slaves of an EtherCAT segment",
-    arguments: Ethercat::augment_args,
-    run: |matches, program| match arguments::<Ethercat>(matches)?.what {
-        What::Scan(scan) => scan.run(program),
+    subcommands: Ethercat::augment_subcommands,
+    run: |matches, program| match arguments(matches)? {
+        Ethercat::Scan(scan) => scan.run(program),
     },
 }];
 
-/// Arguments of `ethercat`.
-#[derive(Debug, Args)]
-struct Ethercat {
-    #[command(subcommand)]
-    what: What,
-}
-
 #[derive(Debug, Subcommand)]
-enum What {
+enum Ethercat {
     /// Lists the slaves of a segment with their states and the content of their SII; changes nothing.
     Scan(Scan),
 }

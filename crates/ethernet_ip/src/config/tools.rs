@@ -17,21 +17,14 @@ use fieldbeat_tools::{Program, Stop, Tool, arguments, table};
 pub const TOOLS: &[Tool] = &[Tool {
     name: "ethernet-ip",
     about: "The EtherNet/IP devices on a network",
-    arguments: EthernetIp::augment_args,
-    run: |matches, program| match arguments::<EthernetIp>(matches)?.what {
-        What::Scan(scan) => scan.run(program),
+    subcommands: EthernetIp::augment_subcommands,
+    run: |matches, program| match arguments(matches)? {
+        EthernetIp::Scan(scan) => scan.run(program),
     },
 }];
 
-/// Arguments of `ethernet-ip`.
-#[derive(Debug, Args)]
-struct EthernetIp {
-    #[command(subcommand)]
-    what: What,
-}
-
 #[derive(Debug, Subcommand)]
-enum What {
+enum EthernetIp {
     /// Lists the devices that answer ListIdentity, by a broadcast or at given addresses; changes nothing.
     Scan(Scan),
 }

@@ -18,19 +18,12 @@ use fieldbeat_tools::{Drive, Program, Stop, Tool, arguments};
 pub const TOOLS: &[Tool] = &[Tool {
     name: "linmot",
     about: "Curves, command table, error log and software of a LinMot drive",
-    arguments: LinMot::augment_args,
+    subcommands: LinMot::augment_subcommands,
     run: |matches, program| arguments::<LinMot>(matches)?.run(program),
 }];
 
-/// Arguments of `linmot`.
-#[derive(Debug, Args)]
-struct LinMot {
-    #[command(subcommand)]
-    what: What,
-}
-
 #[derive(Debug, Subcommand)]
-enum What {
+enum LinMot {
     /// Curves, as CSV files.
     #[command(subcommand)]
     Curve(CurveDoes),
@@ -150,22 +143,22 @@ impl From<ServiceError> for Stop {
 
 impl LinMot {
     fn run(self, program: &dyn Program) -> Result<(), Stop> {
-        match self.what {
-            What::Command(command) => command.run(program),
-            What::Commands(commands) => commands.run(program),
-            What::Curve(does) => does.run(program),
-            What::Table(does) => does.run(program),
-            What::Errors(Shown { drive, json }) => with(&drive, program, |desk| desk.errors(json)),
-            What::Restart(drive) => {
+        match self {
+            LinMot::Command(command) => command.run(program),
+            LinMot::Commands(commands) => commands.run(program),
+            LinMot::Curve(does) => does.run(program),
+            LinMot::Table(does) => does.run(program),
+            LinMot::Errors(Shown { drive, json }) => with(&drive, program, |desk| desk.errors(json)),
+            LinMot::Restart(drive) => {
                 with(&drive, program, |desk| desk.done(desk.services.restart(), "restarts"))
             }
-            What::Software(SoftwareDoes::Stop(drive)) => with(&drive, program, |desk| {
+            LinMot::Software(SoftwareDoes::Stop(drive)) => with(&drive, program, |desk| {
                 desk.done(desk.services.stop_software(), "its software is stopped")
             }),
-            What::Software(SoftwareDoes::Start(drive)) => with(&drive, program, |desk| {
+            LinMot::Software(SoftwareDoes::Start(drive)) => with(&drive, program, |desk| {
                 desk.done(desk.services.start_software(), "its software runs; home it")
             }),
-            What::Defaults(Defaults { drive, part }) => with(&drive, program, |desk| {
+            LinMot::Defaults(Defaults { drive, part }) => with(&drive, program, |desk| {
                 let reset = desk.services.reset_to_default(part);
                 desk.done(reset, "the defaults take effect after a restart; home it")
             }),

@@ -21,24 +21,17 @@ use fieldbeat_tools::{Program, Stop, Tool, arguments, table};
 pub const TOOLS: &[Tool] = &[Tool {
     name: "profibus",
     about: "The stations of a PROFIBUS wire",
-    arguments: Profibus::augment_args,
-    run: |matches, program| match arguments::<Profibus>(matches)?.what {
-        What::Scan(scan) => scan.run(program),
+    subcommands: Profibus::augment_subcommands,
+    run: |matches, program| match arguments(matches)? {
+        Profibus::Scan(scan) => scan.run(program),
     },
 }];
 
 /// What a port may add before a byte is read while nothing is known of it, ms.
 pub(super) const SCAN_LATENCY_MS: u64 = 20;
 
-/// Arguments of `profibus`.
-#[derive(Debug, Args)]
-struct Profibus {
-    #[command(subcommand)]
-    what: What,
-}
-
 #[derive(Debug, Subcommand)]
-enum What {
+enum Profibus {
     /// Lists the stations that answer, with their ident numbers and masters; changes nothing. It listens first, and
     /// sends nothing while another master uses the wire.
     Scan(Scan),
