@@ -6,7 +6,7 @@ use fieldbeat_core::cycle::{CyclePlan, Guard, OnCost, Overrun, Plan, Shares, Wai
 use fieldbeat_core::rt::{Memory, Realtime};
 use fieldbeat_core::time::{Ns, S, US};
 use fieldbeat_keys::form::Form;
-use fieldbeat_keys::table::{Table, time, within_times};
+use fieldbeat_keys::table::{Table, set, time, within_times};
 use fieldbeat_keys::value::{SHORT_NAME, alternatives, plain_name};
 
 pub(super) const WAITS: [(&str, Wait); 2] = [("poll", Wait::Poll), ("spin", Wait::Spin)];
@@ -27,63 +27,40 @@ pub(super) fn period_fault(period_ns: u64) -> Option<String> {
 
 /// Reads `[cycle]`; every key has its default in [`CyclePlan`].
 pub(super) fn cycle(table: &mut Table<'_>) -> CyclePlan {
-    let default = CyclePlan::default();
-    let period_ns = table.time("period", PERIODS, PERIOD_HINT).unwrap_or(default.period_ns);
-    CyclePlan {
-        period_ns,
-        core: table.integer("core", 0..=1023, "cores are counted from 0; leave it out for the last one"),
-        priority: table
-            .integer("priority", 1..=99, "80 is above interrupt threads and below the kernel's own")
-            .unwrap_or(default.priority),
-        guard: guard(table).unwrap_or(default.guard),
-        receive_deadline: table
-            .number("receive_deadline", 0.05..=0.95, "a share of the period, 0.5 is half of it")
-            .unwrap_or(default.receive_deadline),
-        wait: table.word("wait", &WAITS).unwrap_or(default.wait),
-        overrun: overrun(table, period_ns).unwrap_or(default.overrun),
-        max_skip_rate: table
-            .number(
-                "max_skip_rate",
-                0.0..=1.0,
-                "the largest share of the last 100 slots that may be skipped; 1.0 is not watched",
-            )
-            .unwrap_or(default.max_skip_rate),
-        tolerated: Shares {
-            late: share(table, "max_late_share", "cycles that begin late").unwrap_or(default.tolerated.late),
-            skipped: share(table, "max_skipped_share", "skipped slots").unwrap_or(default.tolerated.skipped),
-            unanswered: share(table, "max_unanswered_share", "unanswered exchanges of a drive")
-                .unwrap_or(default.tolerated.unanswered),
-        },
-        cost: table.word("cost", &COSTS).unwrap_or(default.cost),
-        realtime: table.word("realtime", &REALTIMES).unwrap_or(default.realtime),
-        memory: table.word("memory", &MEMORIES).unwrap_or(default.memory),
-        task_budget_ns: table.time("task_budget", US..=period_ns, "the in-loop task runs once a cycle"),
-        heartbeat_ns: table.time(
-            "heartbeat",
-            period_ns..=3600 * S,
-            "the longest silence of the application while an axis is enabled; leave it out for no limit",
-        ),
-        watch_after: watch_after(table, period_ns).unwrap_or(default.watch_after),
-        late_ns: table.time(
-            "late",
-            US..=period_ns,
-            "the lateness above which a cycle is counted as late, with its cause",
-        ),
-        black_box_ns: table
-            .time(
-                "black_box",
-                0..=60 * S,
-                "the length of the recording that is kept for a failure; 0s keeps none",
-            )
-            .unwrap_or(default.black_box_ns),
-        record_native: default.record_native,
-        reference: table.text(
-            "reference",
-            SHORT_NAME,
-            "the name of a bus, whose clock leads the grid",
-            plain_name,
-        ),
-    }
+    let mut plan = CyclePlan::default();
+    set(&mut plan.period_ns, table.time("period", PERIODS, PERIOD_HINT));
+    let period_ns = plan.period_ns;
+    plan.core = table.integer("core", 0..=1023, "cores are counted from 0; leave it out for the last one");
+    let priority = "80 is above interrupt threads and below the kernel's own";
+    set(&mut plan.priority, table.integer("priority", 1..=99, priority));
+    set(&mut plan.guard, guard(table));
+    let deadline = "a share of the period, 0.5 is half of it";
+    set(&mut plan.receive_deadline, table.number("receive_deadline", 0.05..=0.95, deadline));
+    set(&mut plan.wait, table.word("wait", &WAITS));
+    set(&mut plan.overrun, overrun(table, period_ns));
+    let skips = "the largest share of the last 100 slots that may be skipped; 1.0 is not watched";
+    set(&mut plan.max_skip_rate, table.number("max_skip_rate", 0.0..=1.0, skips));
+    let Shares { late, skipped, unanswered } = &mut plan.tolerated;
+    set(late, share(table, "max_late_share", "cycles that begin late"));
+    set(skipped, share(table, "max_skipped_share", "skipped slots"));
+    set(unanswered, share(table, "max_unanswered_share", "unanswered exchanges of a drive"));
+    set(&mut plan.cost, table.word("cost", &COSTS));
+    set(&mut plan.realtime, table.word("realtime", &REALTIMES));
+    set(&mut plan.memory, table.word("memory", &MEMORIES));
+    plan.task_budget_ns = table.time("task_budget", US..=period_ns, "the in-loop task runs once a cycle");
+    let silence =
+        "the longest silence of the application while an axis is enabled; leave it out for no limit";
+    plan.heartbeat_ns = table.time("heartbeat", period_ns..=3600 * S, silence);
+    let watch = "or \"off\"; the loop counts as stuck after so long without a sign of life";
+    let watch_ns = table.time_or_off("watch_after", CyclePlan::watch_range_ns(period_ns), watch);
+    set(&mut plan.watch_after, watch_ns.map(|ns| ns.map_or(WatchAfter::Off, WatchAfter::Fixed)));
+    let late = "the lateness above which a cycle is counted as late, with its cause";
+    plan.late_ns = table.time("late", US..=period_ns, late);
+    let kept = "the length of the recording that is kept for a failure; 0s keeps none";
+    set(&mut plan.black_box_ns, table.time("black_box", 0..=60 * S, kept));
+    let leads = "the name of a bus, whose clock leads the grid";
+    plan.reference = table.text("reference", SHORT_NAME, leads, plain_name);
+    plan
 }
 
 /// The bus whose clock leads has to be there, and to have one.
@@ -118,15 +95,6 @@ fn guard(table: &mut Table<'_>) -> Option<Guard> {
         Some("off") => Ok(Guard::Off),
         Some("auto") => Ok(Guard::Auto),
         _ => time(value, &(US..), "or \"auto\", or \"off\"").map(Guard::Fixed),
-    })
-}
-
-fn watch_after(table: &mut Table<'_>, period_ns: u64) -> Option<WatchAfter> {
-    let range = CyclePlan::watch_range_ns(period_ns);
-    table.read("watch_after", Form::Time.or(Form::words(["off"])), |value| match value.as_str() {
-        Some("off") => Ok(WatchAfter::Off),
-        _ => time(value, &range, "or \"off\"; the loop counts as stuck after so long without a sign of life")
-            .map(WatchAfter::Fixed),
     })
 }
 

@@ -38,7 +38,7 @@ use fieldbeat_keys::file;
 use fieldbeat_keys::form::Form;
 use fieldbeat_keys::machine::Machine;
 use fieldbeat_keys::page::Page;
-use fieldbeat_keys::table::Table;
+use fieldbeat_keys::table::{Table, list};
 use fieldbeat_keys::value::{self, SHORT_NAME, plain_name};
 use fieldbeat_sim::SimPlan;
 
@@ -119,13 +119,9 @@ fieldbeat_core::debug_as_display!(NotATime);
 
 /// Whose drives have which protocol.
 fn known_protocols() -> String {
-    let mut text = String::new();
-    for (index, protocol) in PROTOCOLS.iter().enumerate() {
-        let verb = if index == 0 { "is " } else { "" };
-        let comma = if index == 0 { "" } else { ", " };
-        text += &format!("{comma}\"{}\" {verb}{}", protocol.name, protocol.drives);
-    }
-    text
+    let named = |protocol: &Protocol| format!("\"{}\" {}", protocol.name, protocol.drives);
+    // The verb stands in the first part only.
+    PROTOCOLS.each_ref().map(named).join(", ").replacen("\" ", "\" is ", 1)
 }
 
 fn machine(mut root: Table<'_>, change: impl FnOnce(&mut Plan, &Table<'_>)) -> Configuration {
@@ -182,11 +178,8 @@ fn group(table: &mut Table<'_>, plan: &Plan) -> Option<GroupPlan> {
     table.require("axes", "the names of its drives, like [\"x\", \"y\"]");
     let name = table.text("name", SHORT_NAME, "1 to 32 letters, digits, - _ or .", plain_name);
     let axes = table.read("axes", Form::Text(None).any_list(), |value| {
-        let names = value.as_array().map(|array| array.iter().map(|name| name.get_ref().as_str()));
-        let names: Option<Vec<&str>> = names.and_then(Iterator::collect);
-        names
-            .ok_or("must be the names of drives, like [\"x\", \"y\"]".into())
-            .map(|names| names.into_iter().map(str::to_owned).collect::<Vec<_>>())
+        let names = list(value, .., |name| name.as_str().map(str::to_owned));
+        names.ok_or("must be the names of drives, like [\"x\", \"y\"]".into())
     });
     let group = GroupPlan { name: name?, axes: axes? };
     if plan.groups.iter().any(|other| other.name == group.name) {

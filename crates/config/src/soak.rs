@@ -1,14 +1,12 @@
 //! `[soak]`: how a soak test moves the axes, and what it has to keep to.
 
-use toml::de::DeValue;
-
 use fieldbeat_core::axis::limits::{check_command, check_row};
 use fieldbeat_core::axis::{AxisPlan, Command, Failure, Jog, Lacks, Move, Profile, Row, Target, Unit};
 use fieldbeat_core::bus::facts::of_drives;
 use fieldbeat_core::cycle::{CyclePlan, Plan};
 use fieldbeat_core::time::{MS, Ns, S, nanos};
-use fieldbeat_keys::form::{Form, Range};
-use fieldbeat_keys::table::{POSITIVE, Table, number, set};
+use fieldbeat_keys::form::Form;
+use fieldbeat_keys::table::{POSITIVE, Table, list, number, set};
 
 /// A soak test as configured and checked.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -360,11 +358,8 @@ fn sine(table: &mut Table<'_>, is_given: bool) -> Option<Swing> {
 
 /// A list of at least one number.
 fn numbers(table: &mut Table<'_>, key: &'static str, hint: &str) -> Option<Vec<f64>> {
-    table.read(key, Form::Number(Range::ALL).list(1, 1000), |value| {
-        let one = |element: &toml::Spanned<DeValue<'_>>| number(element.get_ref());
-        let list = value.as_array().and_then(|array| array.iter().map(one).collect::<Option<Vec<f64>>>());
-        list.filter(|list| (1..=1000).contains(&list.len()))
-            .ok_or_else(|| format!("must be a list of 1 to 1000 {hint}"))
+    table.read(key, Form::number(..).list(1, 1000), |value| {
+        list(value, 1..=1000, number).ok_or_else(|| format!("must be a list of 1 to 1000 {hint}"))
     })
 }
 

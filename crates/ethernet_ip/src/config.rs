@@ -10,22 +10,19 @@ use fieldbeat_keys::Protocol;
 use std::net::{Ipv4Addr, SocketAddrV4};
 
 use super::PROTOCOL;
-use super::check::{CONFIGURATION_MAX, INPUT_MAX, STEPS_MAX};
+use super::check::{CONFIGURATION_MAX, INPUT_MAX, OWN_ADDRESS, STEPS_MAX};
 use super::plan::{
     Access, Delivery, EnableInput, EthernetIpPlan, Expected, Explicit, Homing, HomingMethod, IO_PORT, Layout,
-    MoonsDrive, Originator, PORT, RPI_RANGE_NS, Version, WATCHDOG_MAX_NS, Watchdog,
+    MoonsDrive, Originator, PORT, RPI_RANGE_NS, Version, WATCHDOG_MAX_NS,
 };
 use super::wire::assembly::IoCode;
-use fieldbeat_core::axis::Unit;
 use fieldbeat_core::bus::BusPlan;
-use fieldbeat_core::net::SendMode;
 use fieldbeat_core::time::{MS, S};
-use fieldbeat_keys::bus::{NOWHERE, drives, reachable};
+use fieldbeat_keys::bus::{NOWHERE, accepts_no_watchdog, address, bind, drives, send};
 use fieldbeat_keys::drive::{Counts, axis};
 use fieldbeat_keys::form::Form;
 use fieldbeat_keys::machine::{Claim, Machine};
-use fieldbeat_keys::table::{POSITIVE, Table, integer, number, time};
-use fieldbeat_keys::value::{ENDPOINT, station};
+use fieldbeat_keys::table::{POSITIVE, Table, integer, number, set};
 
 /// This protocol, for the list of all of them.
 pub const REGISTERED: Protocol = Protocol {
@@ -44,155 +41,91 @@ pub const SPECIMEN: &str = "bind = \"127.0.0.1\"\n[[bus.drive]]\nname = \"x\"\na
 /// Reads a `[[bus]]`.
 pub fn bus(table: &mut Table<'_>, machine: &mut Machine) -> Box<dyn BusPlan> {
     let name = machine.bus_name(table, PROTOCOL);
-    let bind = bind(table, machine);
+    let bind = bind(table, machine, IO_PORT, Some("drives compare it"));
     let ip = bind.map_or(Ipv4Addr::UNSPECIFIED, |bind| *bind.ip());
     let originator = originator(table, ip);
-    let dscp = table
-        .integer("dscp", 0..=63, "the mark of packets for switches; 47 is scheduled traffic, 0 is no mark")
-        .unwrap_or(EthernetIpPlan::DSCP);
-    let send =
-        table.word("send", &[("batch", SendMode::Batch), ("each", SendMode::Each)]).unwrap_or_default();
+    let dscp = "the mark of packets for switches; 47 is scheduled traffic, 0 is no mark";
+    let dscp = table.integer("dscp", 0..=63, dscp).unwrap_or(EthernetIpPlan::DSCP);
+    let send = send(table);
     let drives = drives(table, |table, _| drive(table, machine, bind));
     Box::new(EthernetIpPlan { name, bind: bind.unwrap_or(NOWHERE), originator, dscp, send, drives })
 }
 
-fn bind(table: &mut Table<'_>, machine: &mut Machine) -> Option<SocketAddrV4> {
-    table.require("bind", "the address of the network adapter of the drives, like \"192.168.1.1\"");
-    let hint = "the IPv4 address of an adapter, like \"192.168.1.1\", or with a port other than 2222; never \
-         0.0.0.0, since drives compare it";
-    let own = |ip: &Ipv4Addr| !ip.is_unspecified() && !ip.is_multicast() && !ip.is_broadcast();
-    let bind =
-        table.text("bind", ENDPOINT, hint, |text| station(text, IO_PORT).filter(|bind| own(bind.ip())))?;
-    machine.claim_bind(table, bind);
-    Some(bind)
-}
-
 fn originator(table: &mut Table<'_>, bind: Ipv4Addr) -> Originator {
-    let default = Originator::at(bind);
-    table.table("originator", |table| Originator {
-        vendor: table
-            .integer("vendor", 0..=0xFFFF, "the vendor id of this master; leave it out for 251")
-            .unwrap_or(default.vendor),
-        serial: table
-            .integer(
-                "serial",
-                0..=0xFFFF_FFFF,
-                "unique among the masters on the network; leave it out for one made of bind",
-            )
-            .unwrap_or(default.serial),
+    let mut originator = Originator::at(bind);
+    table.table("originator", |table| {
+        let vendor = "the vendor id of this master; leave it out for 251";
+        set(&mut originator.vendor, table.integer("vendor", 0..=0xFFFF, vendor));
+        let serial = "unique among the masters on the network; leave it out for one made of bind";
+        set(&mut originator.serial, table.integer("serial", 0..=0xFFFF_FFFF, serial));
+        originator
     })
 }
 
-fn address(table: &mut Table<'_>, machine: &mut Machine, bind: Option<SocketAddrV4>) -> Option<SocketAddrV4> {
-    table.require("address", "the address of the drive, like \"192.168.1.40\"");
-    let hint = "the IPv4 address of a drive, like \"192.168.1.40\", or with a port other than 44818";
-    let address = table.text("address", ENDPOINT, hint, |text| {
-        station(text, PORT).filter(|address| !address.ip().is_unspecified())
-    })?;
-    machine.claim_address(table, address, Claim::Host);
-    if bind.is_some_and(|bind| bind.ip() == address.ip()) {
-        table.fault("address", "is the master's own address, bind; give that of the drive");
-    }
-    reachable(table, bind.map(|bind| *bind.ip()), address);
-    Some(address)
-}
-
 fn drive(table: &mut Table<'_>, machine: &mut Machine, bind: Option<SocketAddrV4>) -> MoonsDrive {
-    let steps = table
-        .number("steps_per_rev", 1.0..=STEPS_MAX, "the steps of a motor revolution, as EG sets them")
-        .unwrap_or(MoonsDrive::STEPS_PER_REVOLUTION);
-    let counts =
-        Counts { what: "revolutions of the motor", unit: Unit::Revolution, per_unit: 1.0, wire: steps };
-    let axis = axis(table, machine, counts);
-    let address = address(table, machine, bind).unwrap_or(NOWHERE);
+    let steps = "the steps of a motor revolution, as EG sets them";
+    let steps = table.number("steps_per_rev", 1.0..=STEPS_MAX, steps);
+    let steps = steps.unwrap_or(MoonsDrive::STEPS_PER_REVOLUTION);
+    let axis = axis(table, machine, Counts::revolutions(steps));
+    let ip = bind.map(|bind| *bind.ip());
+    let address = address(table, machine, ip, ("192.168.1.40", PORT), Claim::Host);
+    if ip == Some(*address.ip()) {
+        table.fault("address", OWN_ADDRESS);
+    }
     let rpi_ns = machine.period_ns.saturating_mul(u64::from(axis.divisor));
-    let default = MoonsDrive::new("", *address.ip());
-    let connection = table.word("connection", &Access::WORDS).unwrap_or(default.connection);
     let (least_ns, most_ns) = RPI_RANGE_NS;
-    let encoder = encoder(table, steps);
-    let mut drive = MoonsDrive {
-        axis,
-        steps_per_revolution: steps,
-        address,
-        expected: expected(table, default.expected),
-        connection,
-        cyclic: default.cyclic,
-        version: table.word("version", &[("v1", Version::V1), ("v2", Version::V2)]),
-        layout: table
-            .word("layout", &[("manual", Layout::Manual), ("page", Layout::Page)])
-            .unwrap_or(default.layout),
-        delivery: delivery(table, connection),
-        input_rpi_ns: table.time(
-            "input_rpi",
-            least_ns..=most_ns,
-            "the interval of the drive's packets; leave it out for that of the master's",
-        ),
-        multiplier: multiplier(table),
-        fresh_within_ns: table.time(
-            "fresh_within",
-            ..=most_ns,
-            "the time for which a packet of the drive counts; leave it out for two of its intervals",
-        ),
-        first_within_ns: table
-            .time("first_within", MS..=60 * S, "the time within which the first packet has to come")
-            .unwrap_or(default.first_within_ns),
-        configuration: configuration(table),
-        heartbeat: table.read("heartbeat", Form::numbers([0, 2, 6]), |value| match integer(value) {
-            Some(0) => Ok(0),
-            Some(2) => Ok(2),
-            Some(6) => Ok(6),
-            _ => Err("must be 2, 6 or 0, the connection size; leave it out for the one that is taken".into()),
-        }),
-        explicit: table
-            .word("explicit", &[("unconnected", Explicit::Unconnected), ("connected", Explicit::Connected)])
-            .unwrap_or(default.explicit),
-        hold: table
-            .integer("hold", 1..=100, "the packets with a command, and those behind it without one")
-            .unwrap_or(default.hold),
-        effect_within_ns: table
-            .time("effect_within", MS..=10 * S, "the time within which the effect of a command is seen")
-            .unwrap_or(default.effect_within_ns),
-        watchdog: watchdog(table, default.watchdog),
-        enable_input: enable_input(table),
-        homing: homing(table),
-        homed_register: table.text(
-            "homed_register",
-            "^[0-9]$",
-            "a register of the user, \"0\" ... \"9\"",
-            |text| {
-                let &[register @ b'0'..=b'9'] = text.as_bytes() else { return None };
-                Some(register)
-            },
-        ),
-        encoder: encoder.is_some(),
-        encoder_counts_per_step: encoder.unwrap_or(default.encoder_counts_per_step),
-        jog: jog(table, connection).unwrap_or(default.jog),
-    };
+    let usual = MoonsDrive::new("", *address.ip());
+    let mut drive = MoonsDrive { axis, steps_per_revolution: steps, address, ..usual.clone() };
+    set(&mut drive.connection, table.word("connection", &Access::WORDS));
+    let counts = encoder(table);
+    drive.encoder = counts.is_some();
+    set(&mut drive.encoder_counts_per_step, counts.map(|counts| counts.map_or(1.0, |counts| counts / steps)));
+    expected(table, &mut drive.expected);
+    drive.version = table.word("version", &[("v1", Version::V1), ("v2", Version::V2)]);
+    set(&mut drive.layout, table.word("layout", &[("manual", Layout::Manual), ("page", Layout::Page)]));
+    drive.delivery = delivery(table, drive.connection);
+    let interval = "the interval of the drive's packets; leave it out for that of the master's";
+    drive.input_rpi_ns = table.time("input_rpi", least_ns..=most_ns, interval);
+    drive.multiplier = multiplier(table);
+    let fresh = "the time for which a packet of the drive counts; leave it out for two of its intervals";
+    drive.fresh_within_ns = table.time("fresh_within", ..=most_ns, fresh);
+    let first = "the time within which the first packet has to come";
+    let first_within_ns = table.time("first_within", MS..=60 * S, first);
+    drive.configuration = table.byte_list("configuration", CONFIGURATION_MAX);
+    drive.heartbeat = heartbeat(table);
+    let words = [("unconnected", Explicit::Unconnected), ("connected", Explicit::Connected)];
+    set(&mut drive.explicit, table.word("explicit", &words));
+    let hold = "the packets with a command, and those behind it without one";
+    set(&mut drive.hold, table.integer("hold", 1..=100, hold));
+    let effect = "the time within which the effect of a command is seen";
+    let effect_within_ns = table.time("effect_within", MS..=10 * S, effect);
+    let watchdog = "what ZS of the drive is set to at most, 500ms as delivered; or \"off\"";
+    let watchdog_ns = table.time_or_off("watchdog", MS..=WATCHDOG_MAX_NS, watchdog);
+    set(&mut drive.watchdog.within_ns, watchdog_ns);
+    set(&mut drive.watchdog.accept_none, accepts_no_watchdog(table));
+    drive.enable_input = enable_input(table);
+    drive.homing = homing(table);
+    let register = "a register of the user, \"0\" ... \"9\"";
+    drive.homed_register = table.text("homed_register", "^[0-9]$", register, |text| match text.as_bytes() {
+        [register @ b'0'..=b'9'] => Some(*register),
+        _ => None,
+    });
+    set(&mut drive.jog, jog(table, drive.connection));
     table.later("simulate");
-    if !table.gives("effect_within") {
-        drive.effect_within_ns = default.effect_within_ns.max(drive.least_effect_ns(machine.period_ns));
-    }
-    if !table.gives("first_within") {
-        let two_ns = drive.input_rpi_ns(machine.period_ns).saturating_mul(2);
-        drive.first_within_ns = default.first_within_ns.max(two_ns);
-    }
-    for fault in drive.faults(rpi_ns) {
-        table.fault(fault.key, fault.message);
-    }
-    if let Some(fault) = bind.and_then(|bind| drive.delivery_fault(bind)) {
-        table.fault(fault.key, fault.message);
-    }
+    let least_ns = drive.least_effect_ns(machine.period_ns);
+    drive.effect_within_ns = effect_within_ns.unwrap_or(usual.effect_within_ns.max(least_ns));
+    let two_ns = drive.input_rpi_ns(machine.period_ns).saturating_mul(2);
+    drive.first_within_ns = first_within_ns.unwrap_or(usual.first_within_ns.max(two_ns));
+    table.faults(drive.faults(rpi_ns));
+    table.faults(bind.and_then(|bind| drive.delivery_fault(bind)));
     drive
 }
 
-/// What the file leaves out is as in `default`.
-fn expected(table: &mut Table<'_>, default: Expected) -> Expected {
+fn expected(table: &mut Table<'_>, expected: &mut Expected) {
     let device = "a number that fieldbeat ethernet-ip scan shows; or \"any\" for whatever answers there";
-    Expected {
-        vendor: table.integer_or_any("vendor", 1..=0xFFFF, device).unwrap_or(default.vendor),
-        product: table.integer_or_any("product", 1..=0xFFFF, device).unwrap_or(default.product),
-        serial: table.integer_or_any("serial", 0..=0xFFFF_FFFF, device).unwrap_or(default.serial),
-    }
+    set(&mut expected.vendor, table.integer_or_any("vendor", 1..=0xFFFF, device));
+    set(&mut expected.product, table.integer_or_any("product", 1..=0xFFFF, device));
+    set(&mut expected.serial, table.integer_or_any("serial", 0..=0xFFFF_FFFF, device));
 }
 
 /// Who listens only gets packets of a group.
@@ -214,37 +147,25 @@ fn multiplier(table: &mut Table<'_>) -> Option<u8> {
     })
 }
 
-/// The bytes of assembly 0x66.
-fn configuration(table: &mut Table<'_>) -> Option<Vec<u8>> {
-    let bytes = table.integers("configuration", CONFIGURATION_MAX, u16::from(u8::MAX));
-    table.gives("configuration").then(|| bytes.into_iter().map(|byte| byte as u8).collect())
+fn heartbeat(table: &mut Table<'_>) -> Option<u8> {
+    let wrong = "must be 2, 6 or 0, the connection size; leave it out for the one that is taken";
+    table.read("heartbeat", Form::numbers([0, 2, 6]), |value| match integer(value) {
+        Some(size @ (0 | 2 | 6)) => Ok(size as u8),
+        _ => Err(wrong.into()),
+    })
 }
 
-/// Encoder counts of a motor step, if there is an encoder.
-fn encoder(table: &mut Table<'_>, steps: f64) -> Option<f64> {
+/// Encoder counts of a motor revolution, if there is an encoder; `Some(None)`: they are its steps.
+fn encoder(table: &mut Table<'_>) -> Option<Option<f64>> {
     const FORMS: &str = "must be true, false, or the counts of the encoder in a revolution";
     let given = table.read("encoder", Form::Flag.or(Form::number(POSITIVE)), |value| {
         match (value.as_bool(), number(value)) {
-            (Some(true), _) => Ok(Some(1.0)),
-            (Some(false), _) => Ok(None),
-            (None, Some(counts)) if counts > 0.0 && counts.is_finite() => Ok(Some(counts / steps)),
+            (Some(flag), _) => Ok(flag.then_some(None)),
+            (None, Some(counts)) if counts > 0.0 && counts.is_finite() => Ok(Some(Some(counts))),
             _ => Err(FORMS.into()),
         }
     });
     given.flatten()
-}
-
-fn watchdog(table: &mut Table<'_>, default: Watchdog) -> Watchdog {
-    let hint = "what ZS of the drive is set to at most, 500ms as delivered; or \"off\"";
-    let within_ns = table.read("watchdog", Form::Time.or(Form::word("off")), |value| match value.as_str() {
-        Some("off") => Ok(None),
-        _ => time(value, &(MS..=WATCHDOG_MAX_NS), hint).map(Some),
-    });
-    let accept = table.word("no_drive_watchdog", &[("accept", true), ("refuse", false)]);
-    Watchdog {
-        within_ns: within_ns.unwrap_or(default.within_ns),
-        accept_none: accept.unwrap_or(default.accept_none),
-    }
 }
 
 /// What `read` makes of a sub-table; nothing if it is absent.

@@ -2,9 +2,9 @@
 
 use std::time::Duration;
 
-use super::form::{Form, Range};
+use super::form::Form;
 use super::machine::Machine;
-use super::table::{POSITIVE, Table, integer, number as number_of, time as time_of};
+use super::table::{POSITIVE, Table, integer, number as number_of, set};
 use super::value::{SHORT_NAME, plain_name};
 use fieldbeat_core::axis::{
     AxisPlan, FollowingError, FoundRunning, Health, HeldBy, InPosition, Limits, Load, OwnerLost, Profile,
@@ -36,6 +36,13 @@ pub struct Counts {
     pub wire: f64,
 }
 
+impl Counts {
+    /// Revolutions of the motor, of which the drive counts so many in one.
+    pub const fn revolutions(wire: f64) -> Counts {
+        Counts { what: "revolutions of the motor", unit: Unit::Revolution, per_unit: 1.0, wire }
+    }
+}
+
 /// Reads the common keys of a drive that counts `counts`.
 pub fn axis(table: &mut Table<'_>, machine: &mut Machine, counts: Counts) -> AxisPlan {
     let name = name(table, machine, "drive", "every drive needs a name for programs and messages");
@@ -44,53 +51,44 @@ pub fn axis(table: &mut Table<'_>, machine: &mut Machine, counts: Counts) -> Axi
     let limits = limits(table, &units);
     let profile = profile(table, &default.profile, &limits);
     let load = load(table);
-    let stop = stop(table, machine, &default.stop, load, &profile);
+    let stop = stop(table, machine, default.stop, load, &profile);
     let divisor = table.integer("divisor", 1..=1000, "1 is an exchange every cycle").unwrap_or(1);
     let phase = table
         .integer("phase", 0..=999, "the one of its divisor cycles in which the drive has its exchange")
         .unwrap_or(0);
-    let queue = |table: &mut Table<'_>, key, least, default| {
-        table.integer(key, least..=1_000_000, "room in entries").unwrap_or(default)
-    };
     let exchange_ns = machine.period_ns.saturating_mul(u64::from(divisor));
-    let plan = AxisPlan {
+    let mut plan = AxisPlan {
         limits,
         profile,
         divisor,
         phase,
         health: health(table, exchange_ns),
-        in_position: in_position(table, &InPosition::new(&units, stop.standstill), exchange_ns),
+        in_position: in_position(table, InPosition::new(&units, stop.standstill), exchange_ns),
         stop,
-        underrun: underrun(table).unwrap_or(default.underrun),
-        on_found_running: table
-            .word("on_found_running", &[("stop", FoundRunning::Stop), ("refuse", FoundRunning::Refuse)])
-            .unwrap_or(default.on_found_running),
-        on_owner_lost: table
-            .word("on_owner_lost", &[("stop", OwnerLost::Stop), ("finish", OwnerLost::Finish)])
-            .unwrap_or(default.on_owner_lost),
         load,
-        setpoint_age: table
-            .integer("setpoint_age", 1..=1_000_000, "the cycles for which a velocity setpoint is valid")
-            .unwrap_or(default.setpoint_age),
-        jog_deadman: jog_deadman(table).unwrap_or(default.jog_deadman),
-        enable_timeout: time(
-            table,
-            "enable_timeout",
-            600,
-            "the longest time until power is on",
-            default.enable_timeout,
-        ),
-        home_timeout: time(table, "home_timeout", 3600, "the longest time for homing", default.home_timeout),
-        command_queue: queue(table, "command_queue", 1, default.command_queue),
-        stream_queue: queue(table, "stream_queue", 1, default.stream_queue),
-        event_queue: queue(table, "event_queue", 1, default.event_queue),
-        sample_queue: queue(table, "sample_queue", 0, default.sample_queue),
-        parameter_queue: queue(table, "parameter_queue", 1, default.parameter_queue),
         ..default
     };
-    for fault in plan.faults() {
-        table.fault(fault.key, fault.message);
-    }
+    set(&mut plan.underrun, underrun(table));
+    let words = [("stop", FoundRunning::Stop), ("refuse", FoundRunning::Refuse)];
+    set(&mut plan.on_found_running, table.word("on_found_running", &words));
+    let words = [("stop", OwnerLost::Stop), ("finish", OwnerLost::Finish)];
+    set(&mut plan.on_owner_lost, table.word("on_owner_lost", &words));
+    let age = "the cycles for which a velocity setpoint is valid";
+    set(&mut plan.setpoint_age, table.integer("setpoint_age", 1..=1_000_000, age));
+    let deadman = "a jog that is not renewed within this time is stopped; or \"off\"";
+    let deadman_ns = table.time_or_off("jog_deadman", MS..=60 * S, deadman);
+    set(&mut plan.jog_deadman, deadman_ns.map(|ns| ns.map(Duration::from_nanos)));
+    time(table, &mut plan.enable_timeout, "enable_timeout", 600, "the longest time until power is on");
+    time(table, &mut plan.home_timeout, "home_timeout", 3600, "the longest time for homing");
+    let mut queue = |place: &mut usize, key, least: i128| {
+        set(place, table.integer(key, least..=1_000_000, "room in entries"));
+    };
+    queue(&mut plan.command_queue, "command_queue", 1);
+    queue(&mut plan.stream_queue, "stream_queue", 1);
+    queue(&mut plan.event_queue, "event_queue", 1);
+    queue(&mut plan.sample_queue, "sample_queue", 0);
+    queue(&mut plan.parameter_queue, "parameter_queue", 1);
+    table.faults(plan.faults());
     plan
 }
 
@@ -115,39 +113,27 @@ fn load(table: &mut Table<'_>) -> Load {
     }
 }
 
-/// A time, or "off": the jog then runs until something replaces it.
-fn jog_deadman(table: &mut Table<'_>) -> Option<Option<Duration>> {
-    let hint = "a jog that is not renewed within this time is stopped; or \"off\"";
-    table.read("jog_deadman", Form::Time.or(Form::word("off")), |value| match value.as_str() {
-        Some("off") => Ok(None),
-        _ => time_of(value, &(MS..=60 * S), hint).map(|ns| Some(Duration::from_nanos(ns))),
-    })
-}
-
 /// A number above 0, or "off".
 fn or_off(table: &mut Table<'_>, key: &'static str, hint: &str) -> Option<Option<f64>> {
-    let form = Form::Number(Range::of(&POSITIVE, |bound| bound)).or(Form::word("off"));
-    table.read(key, form, |value| match (value.as_str(), number_of(value)) {
-        (Some("off"), _) => Ok(None),
-        (_, Some(number)) if number > 0.0 => Ok(Some(number)),
-        _ => Err(format!("must be a number above 0, or \"off\"; {hint}")),
+    table.read_or(key, Form::number(POSITIVE), "off", |value| {
+        let number = number_of(value).filter(|number| *number > 0.0);
+        number.ok_or_else(|| format!("must be a number above 0, or \"off\"; {hint}"))
     })
 }
 
 /// When a move of a drive with an exchange every `exchange_ns` has arrived.
-fn in_position(table: &mut Table<'_>, default: &InPosition, exchange_ns: u64) -> InPosition {
-    table.table("in_position", |table| InPosition {
-        window: or_off(table, "window", "units between a target and the actual position")
-            .unwrap_or(default.window),
-        reports: table
-            .count("for", 1..=60_000, exchange_ns, "the good exchanges in a row inside the window")
-            .unwrap_or(default.reports),
-        timeout: time(table, "timeout", 600, "the longest time from the end of the demand", default.timeout),
+fn in_position(table: &mut Table<'_>, mut of: InPosition, exchange_ns: u64) -> InPosition {
+    table.table("in_position", |table| {
+        set(&mut of.window, or_off(table, "window", "units between a target and the actual position"));
+        let reports = "the good exchanges in a row inside the window";
+        set(&mut of.reports, table.count("for", 1..=60_000, exchange_ns, reports));
+        time(table, &mut of.timeout, "timeout", 600, "the longest time from the end of the demand");
+        of
     })
 }
 
-fn time(table: &mut Table<'_>, key: &'static str, most_s: u64, hint: &str, default: Duration) -> Duration {
-    table.time(key, MS..=most_s * S, hint).map_or(default, Duration::from_nanos)
+fn time(table: &mut Table<'_>, place: &mut Duration, key: &'static str, most_s: u64, hint: &str) {
+    set(place, table.time(key, MS..=most_s * S, hint).map(Duration::from_nanos));
 }
 
 /// The name of a `kind`, a drive or a device.
@@ -179,40 +165,35 @@ fn units(table: &mut Table<'_>, counts: Counts) -> Units {
 }
 
 fn limits(table: &mut Table<'_>, units: &Units) -> Limits {
-    let limits = table.table("limits", |table| Limits {
-        position: table.interval("position", "in user units"),
-        velocity: table.number("velocity", POSITIVE, "units/s; leave it out for the drive's own limit"),
-        acceleration: table.number(
-            "acceleration",
-            POSITIVE,
-            "units/s²; leave it out for the drive's own limit",
-        ),
-        step: table.number("step", POSITIVE, "units between two streamed rows; leave it out for no limit"),
-        torque: table.number(
-            "torque",
-            POSITIVE,
-            "per cent of the rated torque; leave it out for the drive's own limit",
-        ),
-        homing: table.number("homing", POSITIVE, "units/s while it homes; leave it out for that of velocity"),
-        following_error: match or_off(table, "following_error", "units between demand and actual position") {
-            None => FollowingError::Derived,
-            Some(None) => FollowingError::Off,
-            Some(Some(most)) => FollowingError::Most(most),
-        },
+    let limits = table.table("limits", |table| {
+        let position = table.interval("position", "in user units");
+        let mut most = |key, hint| table.number(key, POSITIVE, hint);
+        let error = "units between demand and actual position";
+        Limits {
+            position,
+            velocity: most("velocity", "units/s; leave it out for the drive's own limit"),
+            acceleration: most("acceleration", "units/s²; leave it out for the drive's own limit"),
+            step: most("step", "units between two streamed rows; leave it out for no limit"),
+            torque: most("torque", "per cent of the rated torque; leave it out for the drive's own limit"),
+            homing: most("homing", "units/s while it homes; leave it out for that of velocity"),
+            following_error: match or_off(table, "following_error", error) {
+                None => FollowingError::Derived,
+                Some(None) => FollowingError::Off,
+                Some(Some(most)) => FollowingError::Most(most),
+            },
+        }
     });
     if let Some((low, high)) = limits.position {
         let counts = |end: i32| f64::from(end) / units.counts_per_unit + units.offset;
         let ends = (counts(i32::MIN), counts(i32::MAX));
         let reach = (ends.0.min(ends.1), ends.0.max(ends.1));
         if low < reach.0 || high > reach.1 {
-            table.fault(
-                "limits.position",
-                format!(
-                    "exceeds the range of the drive's 32-bit counts, {} ... {} {}; narrow it or check scale \
-                     and offset",
-                    reach.0, reach.1, units.unit
-                ),
+            let (low, high, unit) = (reach.0, reach.1, units.unit);
+            let why = format!(
+                "exceeds the range of the drive's 32-bit counts, {low} ... {high} {unit}; narrow it or check scale \
+                 and offset"
             );
+            table.fault("limits.position", why);
         }
     }
     limits
@@ -236,67 +217,49 @@ fn profile(table: &mut Table<'_>, default: &Profile, limits: &Limits) -> Profile
 
 /// Link health of a drive with an exchange every `exchange_ns`.
 fn health(table: &mut Table<'_>, exchange_ns: u64) -> Health {
-    let default = Health::default();
-    table.table("health", |table| Health {
-        bucket: table
-            .count(
-                "bucket",
-                1..=10_000,
-                exchange_ns,
-                "the misses that fill the bucket: then the link is lost",
-            )
-            .unwrap_or(default.bucket),
-        leak: table
-            .integer(
-                "leak",
-                1..=1_000_000,
-                "the good exchanges in a row that take one miss out of the bucket",
-            )
-            .unwrap_or(default.leak),
-        gate: table
-            .integer("gate", 1..=1_000_000, "the good exchanges in a row after which the link is up")
-            .unwrap_or(default.gate),
+    let mut health = Health::default();
+    table.table("health", |table| {
+        let bucket = "the misses that fill the bucket: then the link is lost";
+        set(&mut health.bucket, table.count("bucket", 1..=10_000, exchange_ns, bucket));
+        let leak = "the good exchanges in a row that take one miss out of the bucket";
+        set(&mut health.leak, table.integer("leak", 1..=1_000_000, leak));
+        let gate = "the good exchanges in a row after which the link is up";
+        set(&mut health.gate, table.integer("gate", 1..=1_000_000, gate));
         // Faster, and the requests to an absent drive can fill the send buffer of the living.
-        probe_interval: table
-            .time("probe_interval", 10 * MS..=10 * S, "the time between two requests to an absent drive")
-            .map_or(default.probe_interval, Duration::from_nanos),
+        let probe = "the time between two requests to an absent drive";
+        let probe_ns = table.time("probe_interval", 10 * MS..=10 * S, probe);
+        set(&mut health.probe_interval, probe_ns.map(Duration::from_nanos));
+        health
     })
 }
 
 fn stop(
     table: &mut Table<'_>,
     machine: &mut Machine,
-    default: &StopPlan,
+    mut stop: StopPlan,
     load: Load,
     profile: &Profile,
 ) -> StopPlan {
     // Where only the drive holds the load, it stays on unless the file says otherwise; `check` says what that means.
-    let (then, on_timeout) = match load {
-        Load::Vertical(HeldBy::Drive) => (StopThen::Hold, StopTimeout::Hold),
-        Load::Level | Load::Vertical(HeldBy::Brake) => (default.then, default.on_timeout),
-    };
-    table.table("stop", |table| StopPlan {
-        how: table.word("how", &HOWS).unwrap_or(default.how),
-        deceleration: table
-            .number("deceleration", POSITIVE, "units/s²; leave it out for profile.deceleration")
-            .unwrap_or(profile.deceleration),
-        then: table.word("then", &THENS).unwrap_or(then),
-        timeout: time(table, "timeout", 600, "the longest time to standstill", default.timeout),
-        on_timeout: table.word("on_timeout", &TIMEOUTS).unwrap_or(on_timeout),
-        standstill: table
-            .number("standstill", POSITIVE, "units/s; a lower speed is standstill")
-            .unwrap_or(default.standstill),
-        standstill_for: table
-            .integer("standstill_for", 1..=100_000, "good exchanges in a row below the standstill speed")
-            .unwrap_or(default.standstill_for),
-        group: table
-            .text(
-                "group",
-                SHORT_NAME,
-                "a name of 1 to 32 letters, digits, - _ or .; leave it out to stop alone",
-                plain_name,
-            )
-            .map(|group| machine.group(table, group)),
+    if load == Load::Vertical(HeldBy::Drive) {
+        (stop.then, stop.on_timeout) = (StopThen::Hold, StopTimeout::Hold);
+    }
+    table.table("stop", |table| {
+        set(&mut stop.how, table.word("how", &HOWS));
+        let deceleration = "units/s²; leave it out for profile.deceleration";
+        let deceleration = table.number("deceleration", POSITIVE, deceleration);
+        stop.deceleration = deceleration.unwrap_or(profile.deceleration);
+        set(&mut stop.then, table.word("then", &THENS));
+        time(table, &mut stop.timeout, "timeout", 600, "the longest time to standstill");
+        set(&mut stop.on_timeout, table.word("on_timeout", &TIMEOUTS));
+        let standstill = "units/s; a lower speed is standstill";
+        set(&mut stop.standstill, table.number("standstill", POSITIVE, standstill));
+        let reports = "good exchanges in a row below the standstill speed";
+        set(&mut stop.standstill_for, table.integer("standstill_for", 1..=100_000, reports));
+        let group = "a name of 1 to 32 letters, digits, - _ or .; leave it out to stop alone";
+        let group = table.text("group", SHORT_NAME, group, plain_name);
+        stop.group = group.map(|group| machine.group(table, group));
+        stop
     })
 }
 
@@ -308,13 +271,9 @@ fn underrun(table: &mut Table<'_>) -> Option<Underrun> {
         Some("hold") => Ok(Underrun::Hold),
         Some(_) => Err(FORMS.into()),
         None => {
-            let count = value
-                .as_table()
-                .filter(|table| table.len() == 1)
-                .and_then(|table| table.get("extrapolate"))
-                .and_then(|count| integer(count.get_ref()))
-                .filter(|count| (1..=1000).contains(count))
-                .and_then(|count| u32::try_from(count).ok());
+            let only = value.as_table().filter(|table| table.len() == 1);
+            let count = only.and_then(|table| integer(table.get("extrapolate")?.get_ref()));
+            let count = count.filter(|count| (1..=1000).contains(count)).map(|count| count as u32);
             count.map(Underrun::Extrapolate).ok_or(FORMS.into())
         }
     })

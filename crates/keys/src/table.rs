@@ -13,6 +13,7 @@ use toml::de::{DeString, DeTable, DeValue};
 use super::form::{Form, Key, Range, listed};
 use super::page::{Page, Place, shorten};
 use super::value;
+use fieldbeat_core::axis::PlanFault;
 use fieldbeat_core::time::Ns;
 
 /// Everything above zero.
@@ -113,6 +114,13 @@ impl<'a> Table<'a> {
         self.page.report(self.place(key), message);
     }
 
+    /// Notes what is wrong with the plan that was read from it.
+    pub fn faults(&self, faults: impl IntoIterator<Item = PlanFault>) {
+        for PlanFault { key, message } in faults {
+            self.fault(key, message);
+        }
+    }
+
     /// Notes a mistake at a place found earlier.
     pub fn report(&self, place: &Place, message: impl Into<String>) {
         self.page.report(place.clone(), message);
@@ -168,6 +176,20 @@ impl<'a> Table<'a> {
         }
     }
 
+    /// The same, or this word: then `Some(None)`.
+    pub fn read_or<T>(
+        &mut self,
+        key: &'static str,
+        form: Form,
+        word: &str,
+        read: impl FnOnce(&DeValue<'a>) -> Result<T, String>,
+    ) -> Option<Option<T>> {
+        self.read(key, form.or(Form::word(word)), |value| match value.as_str() {
+            Some(text) if text == word => Ok(None),
+            _ => read(value).map(Some),
+        })
+    }
+
     /// `true` or `false`.
     pub fn flag(&mut self, key: &'static str) -> Option<bool> {
         self.read(key, Form::Flag, |value| value.as_bool().ok_or("must be true or false".into()))
@@ -181,24 +203,17 @@ impl<'a> Table<'a> {
         hint: &str,
         check: impl FnOnce(&str) -> Option<T>,
     ) -> Option<T> {
-        self.text_of(key, Form::Text(pattern.into()), hint, check)
-    }
-
-    fn text_of<T>(
-        &mut self,
-        key: &'static str,
-        form: Form,
-        hint: &str,
-        check: impl FnOnce(&str) -> Option<T>,
-    ) -> Option<T> {
-        self.read(key, form, |value| value.as_str().and_then(check).ok_or_else(|| format!("must be {hint}")))
+        self.read(key, Form::Text(pattern.into()), |value| {
+            value.as_str().and_then(check).ok_or_else(|| format!("must be {hint}"))
+        })
     }
 
     /// One of a few words.
     pub fn word<T: Copy>(&mut self, key: &'static str, words: &[(&str, T)]) -> Option<T> {
         let (form, list) = listed(words);
-        self.text_of(key, form, &list, |text| {
-            words.iter().find(|(word, _)| *word == text).map(|(_, meaning)| *meaning)
+        self.read(key, form, |value| {
+            let known = words.iter().find(|(word, _)| Some(*word) == value.as_str());
+            known.map(|(_, meaning)| *meaning).ok_or_else(|| format!("must be {list}"))
         })
     }
 
@@ -209,12 +224,7 @@ impl<'a> Table<'a> {
         range: impl RangeBounds<i128>,
         hint: &str,
     ) -> Option<T> {
-        let form = Form::Integer(Range::of(&range, |bound| bound as f64));
-        self.read(key, form, |value| {
-            let number = integer(value).ok_or_else(|| format!("must be a whole number; {hint}"))?;
-            inside(number, &range, hint, |bound| bound)?;
-            T::try_from(number).map_err(|_| format!("is out of range; {hint}"))
-        })
+        self.read(key, whole_form(&range), |value| whole(integer(value), &range, ["a whole number", hint]))
     }
 
     /// A whole number, or `"any"`: then `Some(None)`.
@@ -224,15 +234,8 @@ impl<'a> Table<'a> {
         range: impl RangeBounds<i128>,
         hint: &str,
     ) -> Option<Option<T>> {
-        let form = Form::Integer(Range::of(&range, |bound| bound as f64)).or(Form::word("any"));
-        self.read(key, form, |value| {
-            if value.as_str() == Some("any") {
-                return Ok(None);
-            }
-            let number =
-                integer(value).ok_or_else(|| format!("must be a whole number, or \"any\"; {hint}"))?;
-            inside(number, &range, hint, |bound| bound)?;
-            T::try_from(number).map(Some).map_err(|_| format!("is out of range; {hint}"))
+        self.read_or(key, whole_form(&range), "any", |value| {
+            whole(integer(value), &range, ["a whole number, or \"any\"", hint])
         })
     }
 
@@ -244,14 +247,10 @@ impl<'a> Table<'a> {
         every_ns: u64,
         hint: &str,
     ) -> Option<T> {
-        let form = Form::Integer(Range::of(&range, |bound| bound as f64)).or(Form::Time);
-        self.read(key, form, |value| {
+        self.read(key, whole_form(&range).or(Form::Time), |value| {
             let time = value.as_str().and_then(value::duration);
             let number = integer(value).or(time.map(|ns| i128::from(ns.div_ceil(every_ns.max(1)))));
-            let number =
-                number.ok_or_else(|| format!("must be a whole number or a time like \"50ms\"; {hint}"))?;
-            inside(number, &range, hint, |bound| bound)?;
-            T::try_from(number).map_err(|_| format!("is out of reach; {hint}"))
+            whole(number, &range, ["a whole number or a time like \"50ms\"", hint])
         })
     }
 
@@ -262,23 +261,36 @@ impl<'a> Table<'a> {
         };
         let form = Form::integer(0..=highest.into()).list(0, most);
         let list = self.read(key, form, |value| {
-            let elements = value.as_array().map(|array| array.iter().map(|element| one(element.get_ref())));
-            elements
-                .and_then(Iterator::collect::<Option<Vec<u16>>>)
-                .filter(|list| list.len() <= most)
-                .ok_or_else(|| format!("must be a list of at most {most} whole numbers, 0 to {highest}"))
+            let wrong = || format!("must be a list of at most {most} whole numbers, 0 to {highest}");
+            list(value, ..=most, one).ok_or_else(wrong)
         });
         list.unwrap_or_default()
     }
 
+    /// Bytes, at most so many; `None` if the key is absent.
+    pub fn byte_list(&mut self, key: &'static str, most: usize) -> Option<Vec<u8>> {
+        let bytes = self.integers(key, most, u16::from(u8::MAX));
+        self.gives(key).then(|| bytes.into_iter().map(|byte| byte as u8).collect())
+    }
+
     /// Bytes, zeros behind them; `None` if the key is absent.
     pub fn bytes<const N: usize>(&mut self, key: &'static str) -> Option<[u8; N]> {
-        let list = self.integers(key, N, u16::from(u8::MAX));
-        let mut bytes = [0; N];
-        for (place, byte) in bytes.iter_mut().zip(list) {
-            *place = byte as u8;
-        }
-        self.gives(key).then_some(bytes)
+        let list = self.byte_list(key, N)?;
+        Some(std::array::from_fn(|place| list.get(place).copied().unwrap_or(0)))
+    }
+
+    /// `false`, or up to `N` of what `one` reads and `form` shows; else it is `wrong`.
+    pub fn some_of<T, const N: usize>(
+        &mut self,
+        key: &'static str,
+        form: Form,
+        wrong: &str,
+        one: impl FnMut(&DeValue<'a>) -> Result<T, String>,
+    ) -> Option<[Option<T>; N]> {
+        self.read(key, Form::False.or(form.list(1, N)), |value| match value.as_bool() {
+            Some(false) => Ok([const { None }; N]),
+            _ => up_to(value, wrong, one),
+        })
     }
 
     /// A finite number, with or without a decimal point.
@@ -293,12 +305,8 @@ impl<'a> Table<'a> {
     /// Two rising numbers, `[lowest, highest]`.
     pub fn interval(&mut self, key: &'static str, hint: &str) -> Option<(f64, f64)> {
         self.read(key, Form::Number(Range::ALL).list(2, 2), |value| {
-            let pair = value.as_array().and_then(|array| match (array.first(), array.get(1), array.len()) {
-                (Some(low), Some(high), 2) => Some((number(low.get_ref())?, number(high.get_ref())?)),
-                _ => None,
-            });
-            match pair {
-                Some((low, high)) if low < high => Ok((low, high)),
+            match list(value, 2..=2, number).as_deref() {
+                Some(&[low, high]) if low < high => Ok((low, high)),
                 Some(_) => Err(format!("must rise: [lowest, highest]; {hint}")),
                 None => Err(format!("must be two numbers, [lowest, highest]; {hint}")),
             }
@@ -308,6 +316,16 @@ impl<'a> Table<'a> {
     /// A time in ns.
     pub fn time(&mut self, key: &'static str, range: impl RangeBounds<u64>, hint: &str) -> Option<u64> {
         self.read(key, Form::Time, |value| time(value, &range, hint))
+    }
+
+    /// A time in ns, or `"off"`: then `Some(None)`.
+    pub fn time_or_off(
+        &mut self,
+        key: &'static str,
+        range: impl RangeBounds<u64>,
+        hint: &str,
+    ) -> Option<Option<u64>> {
+        self.read_or(key, Form::Time, "off", |value| time(value, &range, hint))
     }
 
     /// What `read` makes of a sub-table, which is empty if it is absent. Unknown keys in it are mistakes.
@@ -419,6 +437,37 @@ pub fn set<T>(place: &mut T, read: Option<T>) {
     }
 }
 
+/// The elements of a list of so many.
+pub fn elements<'v, 'a>(
+    value: &'v DeValue<'a>,
+    count: impl RangeBounds<usize>,
+) -> Option<impl Iterator<Item = &'v DeValue<'a>>> {
+    let array = value.as_array().filter(|array| count.contains(&array.len()))?;
+    Some(array.iter().map(Spanned::get_ref))
+}
+
+/// What `one` makes of each element of a list of so many.
+pub fn list<T>(
+    value: &DeValue<'_>,
+    count: impl RangeBounds<usize>,
+    one: impl Fn(&DeValue<'_>) -> Option<T>,
+) -> Option<Vec<T>> {
+    elements(value, count)?.map(one).collect()
+}
+
+/// What `one` makes of each element of a list of 1 to `N`; else it is `wrong`.
+pub fn up_to<'a, T, const N: usize>(
+    value: &DeValue<'a>,
+    wrong: &str,
+    mut one: impl FnMut(&DeValue<'a>) -> Result<T, String>,
+) -> Result<[Option<T>; N], String> {
+    let mut all = [const { None }; N];
+    for (place, value) in all.iter_mut().zip(elements(value, 1..=N).ok_or(wrong)?) {
+        *place = Some(one(value)?);
+    }
+    Ok(all)
+}
+
 /// A time in ns within `range`.
 pub fn time(value: &DeValue<'_>, range: &impl RangeBounds<u64>, hint: &str) -> Result<u64, String> {
     let ns = value
@@ -437,6 +486,21 @@ pub fn within_times(ns: u64, range: &impl RangeBounds<u64>, hint: &str) -> Resul
 pub fn integer(value: &DeValue<'_>) -> Option<i128> {
     let integer = value.as_integer()?;
     i128::from_str_radix(integer.as_str(), integer.radix()).ok()
+}
+
+fn whole_form(range: &impl RangeBounds<i128>) -> Form {
+    Form::Integer(Range::of(range, |bound| bound as f64))
+}
+
+/// The whole number that was read, if it is within `range`.
+fn whole<T: TryFrom<i128>>(
+    number: Option<i128>,
+    range: &impl RangeBounds<i128>,
+    [what, hint]: [&str; 2],
+) -> Result<T, String> {
+    let number = number.ok_or_else(|| format!("must be {what}; {hint}"))?;
+    inside(number, range, hint, |bound| bound)?;
+    T::try_from(number).map_err(|_| format!("is out of range; {hint}"))
 }
 
 /// A finite number.

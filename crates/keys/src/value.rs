@@ -107,6 +107,19 @@ pub fn closest<'a>(word: &str, known: impl IntoIterator<Item = &'a str>) -> Opti
         .map(|(_, candidate)| candidate)
 }
 
+/// That `word` is an unknown `what`, if it is nearly a known one; else `otherwise`.
+pub fn unknown<'a>(
+    what: &str,
+    word: &str,
+    known: impl IntoIterator<Item = &'a str>,
+    otherwise: &str,
+) -> String {
+    match closest(word, known) {
+        Some(name) => format!("has an unknown {what}; did you mean \"{name}\"?"),
+        None => otherwise.to_owned(),
+    }
+}
+
 /// How many characters have to be added, left out, changed or swapped with their neighbour to make one of the other.
 fn distance(a: &str, b: &str) -> usize {
     let (a, b): (Vec<char>, Vec<char>) = (a.chars().collect(), b.chars().collect());

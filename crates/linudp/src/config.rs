@@ -21,14 +21,13 @@ use super::upid::{KNOWN, Upid};
 use fieldbeat_core::axis::Unit;
 use fieldbeat_core::axis::feedback::MONITOR_CHANNELS;
 use fieldbeat_core::bus::{BusPlan, MOST_EARLIER};
-use fieldbeat_core::net::SendMode;
 use fieldbeat_core::time::S;
-use fieldbeat_keys::bus::{NOWHERE, drives, reachable};
+use fieldbeat_keys::bus::{NOWHERE, accepts_no_watchdog, address, bind, drives, send};
 use fieldbeat_keys::drive::{Counts, axis};
 use fieldbeat_keys::form::Form;
 use fieldbeat_keys::machine::{Claim, Machine};
-use fieldbeat_keys::table::{POSITIVE, Table, integer};
-use fieldbeat_keys::value::{ENDPOINT, closest, station};
+use fieldbeat_keys::table::{POSITIVE, Table, integer, up_to};
+use fieldbeat_keys::value::unknown;
 
 /// This protocol, for the list of all of them.
 pub const REGISTERED: Protocol = Protocol {
@@ -46,9 +45,8 @@ pub const SPECIMEN: &str = "bind = \"127.0.0.1\"\n[[bus.drive]]\nname = \"x\"\na
 /// Reads a `[[bus]]`.
 pub fn bus(table: &mut Table<'_>, machine: &mut Machine) -> Box<dyn BusPlan> {
     let name = machine.bus_name(table, PROTOCOL);
-    let bind = bind(table, machine);
-    let send =
-        table.word("send", &[("batch", SendMode::Batch), ("each", SendMode::Each)]).unwrap_or_default();
+    let bind = bind(table, machine, MASTER_PORT, None);
+    let send = send(table);
     let drives = drives(table, |table, _| drive(table, machine, bind));
     Box::new(LinUdpPlan { name, bind: bind.unwrap_or(NOWHERE), send, drives })
 }
@@ -56,28 +54,10 @@ pub fn bus(table: &mut Table<'_>, machine: &mut Machine) -> Box<dyn BusPlan> {
 const COUNTS: Counts =
     Counts { what: "drive counts", unit: Unit::Millimetre, per_unit: COUNTS_PER_MM, wire: 1.0 };
 
-fn bind(table: &mut Table<'_>, machine: &mut Machine) -> Option<SocketAddrV4> {
-    table.require("bind", "the address of the network adapter of the drives, like \"192.168.1.1\"");
-    let hint = "the IPv4 address of an adapter, like \"192.168.1.1\", or with a port other than 41136";
-    let bind = table.text("bind", ENDPOINT, hint, |text| station(text, MASTER_PORT))?;
-    machine.claim_bind(table, bind);
-    Some(bind)
-}
-
-fn address(table: &mut Table<'_>, machine: &mut Machine, bind: Option<SocketAddrV4>) -> Option<SocketAddrV4> {
-    table.require("address", "the address of the drive, like \"192.168.1.10\"");
-    let hint = "the IPv4 address of a drive, like \"192.168.1.10\", or with a port other than 49360";
-    let address = table.text("address", ENDPOINT, hint, |text| {
-        station(text, DRIVE_PORT).filter(|address| !address.ip().is_unspecified())
-    })?;
-    machine.claim_address(table, address, Claim::Host);
-    reachable(table, bind.map(|bind| *bind.ip()).filter(|ip| !ip.is_unspecified()), address);
-    Some(address)
-}
-
 fn drive(table: &mut Table<'_>, machine: &mut Machine, bind: Option<SocketAddrV4>) -> LinUdpDrive {
     let axis = axis(table, machine, COUNTS);
-    let address = address(table, machine, bind).unwrap_or(NOWHERE);
+    let bind = bind.map(|bind| *bind.ip());
+    let address = address(table, machine, bind, ("192.168.1.10", DRIVE_PORT), Claim::Host);
     let period_ns = machine.period_ns.saturating_mul(u64::from(axis.divisor));
     let drive = LinUdpDrive {
         address,
@@ -96,9 +76,7 @@ fn drive(table: &mut Table<'_>, machine: &mut Machine, bind: Option<SocketAddrV4
     let usual = LinUdpDrive { reply_within: None, ..drive.clone() }.replies_within();
     let drive = LinUdpDrive { reply_within: drive.reply_within.filter(|within| *within != usual), ..drive };
     table.later("simulate");
-    for fault in drive.faults(period_ns) {
-        table.fault(fault.key, fault.message);
-    }
+    table.faults(drive.faults(period_ns));
     drive
 }
 
@@ -107,9 +85,8 @@ fn drive(table: &mut Table<'_>, machine: &mut Machine, bind: Option<SocketAddrV4
 fn serial(table: &mut Table<'_>) -> Option<Serial> {
     let number = table.integer("serial", 0..=u32::MAX.into(), "the number in the parameter serial_from");
     let from = table.read("serial_from", upid_form(), |value| {
-        upid(integer(value), value.as_str()).ok_or_else(|| {
-            "must be the UPID of a parameter of 32 bits with the serial number, like \"0x1234\"".to_owned()
-        })
+        let wrong = "must be the UPID of a parameter of 32 bits with the serial number, like \"0x1234\"";
+        upid(integer(value), value.as_str()).ok_or(wrong.into())
     });
     if number.is_some() && !table.gives("serial_from") {
         table.fault(
@@ -149,19 +126,13 @@ fn monitor(table: &mut Table<'_>) -> Option<MonitorPlan> {
         if let Some(flag) = value.as_bool() {
             return Ok(if flag { MonitorPlan::AsSet } else { MonitorPlan::Off });
         }
-        let array = value.as_array().filter(|array| (1..=MONITOR_CHANNELS).contains(&array.len()));
-        let array = array.ok_or(FORMS)?;
-        let mut sources = [None; MONITOR_CHANNELS];
-        for (source, value) in sources.iter_mut().zip(array) {
-            let value = value.get_ref();
-            *source = Some(upid(integer(value), value.as_str()).ok_or_else(|| {
-                match value.as_str().and_then(|text| closest(text, KNOWN.iter().map(|known| known.name))) {
-                    Some(name) => format!("has an unknown variable; did you mean \"{name}\"?"),
-                    None => FORMS.to_owned(),
-                }
-            })?);
-        }
-        Ok(MonitorPlan::Sources(sources))
+        let names = || KNOWN.iter().map(|known| known.name);
+        let sources = up_to(value, FORMS, |value| {
+            let text = value.as_str();
+            upid(integer(value), text)
+                .ok_or_else(|| unknown("variable", text.unwrap_or_default(), names(), FORMS))
+        });
+        sources.map(MonitorPlan::Sources)
     })
 }
 
@@ -172,7 +143,7 @@ fn reply_within(table: &mut Table<'_>, period_ns: u64) -> Option<u32> {
 }
 
 fn leash(table: &mut Table<'_>) -> Option<f64> {
-    let accepted = table.word("no_drive_watchdog", &[("accept", true), ("refuse", false)]);
+    let accepted = accepts_no_watchdog(table);
     let leash = table.number("leash", POSITIVE, "how far a jog or cyclic velocity runs ahead, in user units");
     let message = match (accepted, table.gives("leash")) {
         (Some(true), false) => {

@@ -6,23 +6,21 @@ mod outline;
 pub const TOOLS: &[fieldbeat_tools::Tool] = &[];
 
 use fieldbeat_keys::Protocol;
-use std::net::{Ipv4Addr, SocketAddrV4};
+use std::net::Ipv4Addr;
 
 use toml::de::DeValue;
 
 use super::PROTOCOL;
 use super::parameter::{Addressing, Parameter, Width, catalogue};
 use super::plan::{Functions, Map, Mapped, ModbusPlan, PORT, UnidriveDrive, Via, WATCHDOG_MAX_NS, Watchdog};
-use fieldbeat_core::axis::Unit;
-use fieldbeat_core::axis::feedback::MONITOR_CHANNELS;
 use fieldbeat_core::bus::BusPlan;
 use fieldbeat_core::time::{MS, S, US};
-use fieldbeat_keys::bus::{NOWHERE, drives, reachable};
+use fieldbeat_keys::bus::{accepts_no_watchdog, address, drives};
 use fieldbeat_keys::drive::{Counts, axis};
 use fieldbeat_keys::form::Form;
 use fieldbeat_keys::machine::{Claim, Machine};
-use fieldbeat_keys::table::{Table, integer, set, time};
-use fieldbeat_keys::value::{ENDPOINT, HOST, closest, station};
+use fieldbeat_keys::table::{Table, elements, integer, set};
+use fieldbeat_keys::value::{HOST, unknown};
 
 /// This protocol, for the list of all of them.
 pub const REGISTERED: Protocol = Protocol {
@@ -33,9 +31,6 @@ pub const REGISTERED: Protocol = Protocol {
     specimen: SPECIMEN,
     outline: outline::OUTLINE,
 };
-
-const COUNTS: Counts =
-    Counts { what: "revolutions of the motor", unit: Unit::Revolution, per_unit: 1.0, wire: 1.0 };
 
 /// With each table that may be missing.
 pub const SPECIMEN: &str = "[[bus.drive]]\nname = \"x\"\naddress = \"127.0.0.2\"\n";
@@ -57,8 +52,8 @@ fn bind(table: &mut Table<'_>) -> Option<Ipv4Addr> {
 }
 
 fn drive(table: &mut Table<'_>, machine: &mut Machine, bind: Option<Ipv4Addr>) -> UnidriveDrive {
-    let axis = axis(table, machine, COUNTS);
-    let address = address(table, machine, bind).unwrap_or(NOWHERE);
+    let axis = axis(table, machine, Counts::revolutions(1.0));
+    let address = address(table, machine, bind, ("192.168.1.20", PORT), Claim::Port);
     let period_ns = machine.period_ns.saturating_mul(u64::from(axis.divisor));
     let mut drive = UnidriveDrive { axis, address, ..UnidriveDrive::new("", *address.ip()) };
     let serials = 0..=UnidriveDrive::SERIAL_MAX.into();
@@ -82,21 +77,8 @@ fn drive(table: &mut Table<'_>, machine: &mut Machine, bind: Option<Ipv4Addr>) -
     let usual_ns = UnidriveDrive::usual_reply_within(&drive.watchdog, period_ns);
     drive.reply_within_ns = reply_within_ns.unwrap_or(usual_ns);
     table.later("simulate");
-    for fault in drive.faults(period_ns) {
-        table.fault(fault.key, fault.message);
-    }
+    table.faults(drive.faults(period_ns));
     drive
-}
-
-fn address(table: &mut Table<'_>, machine: &mut Machine, bind: Option<Ipv4Addr>) -> Option<SocketAddrV4> {
-    table.require("address", "the address of the drive, like \"192.168.1.20\"");
-    let hint = "the IPv4 address of a drive, like \"192.168.1.20\", or with a port other than 502";
-    let address = table.text("address", ENDPOINT, hint, |text| {
-        station(text, PORT).filter(|address| !address.ip().is_unspecified())
-    })?;
-    machine.claim_address(table, address, Claim::Port);
-    reachable(table, bind, address);
-    Some(address)
 }
 
 fn map(table: &mut Table<'_>, map: &mut Map) {
@@ -112,35 +94,16 @@ fn map(table: &mut Table<'_>, map: &mut Map) {
         });
         set(&mut map.trip, trip);
     });
-    let form = Form::False.or(parameter_form().list(1, MONITOR_CHANNELS));
-    set(&mut map.show, table.read("monitor", form, monitor));
+    let wrong = "must be false, or up to four parameters like [\"04.020\", \"dc-bus-voltage\"]";
+    set(&mut map.show, table.some_of("monitor", parameter_form(), wrong, one));
     set(&mut map.also, table.read("also_read", parameter_form().any_list(), also_read));
-}
-
-/// `false`, or up to four parameters.
-fn monitor(value: &DeValue<'_>) -> Result<[Option<Mapped>; MONITOR_CHANNELS], String> {
-    let mut show = [None; MONITOR_CHANNELS];
-    if value.as_bool() == Some(false) {
-        return Ok(show);
-    }
-    let array = value.as_array().filter(|array| (1..=MONITOR_CHANNELS).contains(&array.len()));
-    let array =
-        array.ok_or("must be false, or up to four parameters like [\"04.020\", \"dc-bus-voltage\"]")?;
-    for (channel, value) in show.iter_mut().zip(array) {
-        *channel = Some(one(value.get_ref())?);
-    }
-    Ok(show)
 }
 
 /// Parameters, and ranges of them.
 fn also_read(value: &DeValue<'_>) -> Result<Vec<Mapped>, String> {
-    let array =
-        value.as_array().ok_or("must be a list of parameters like [\"20.021 ... 20.030\", \"05.005\"]")?;
-    let mut also = Vec::new();
-    for value in array {
-        also.extend(span(value.get_ref())?);
-    }
-    Ok(also)
+    let wrong = "must be a list of parameters like [\"20.021 ... 20.030\", \"05.005\"]";
+    let spans: Result<Vec<_>, _> = elements(value, ..).ok_or(wrong)?.map(span).collect();
+    spans.map(|spans| spans.concat())
 }
 
 /// Exactly one parameter.
@@ -183,10 +146,7 @@ fn parameter(text: &str) -> Result<Parameter, String> {
     let named = || catalogue::named(text, false).map(|known| known.parameter);
     text.parse().ok().or_else(named).ok_or_else(|| {
         let names = catalogue::all().filter(|known| known.parameter.slot == 0).map(|known| known.name);
-        match closest(text, names) {
-            Some(name) => format!("has an unknown parameter; did you mean \"{name}\"?"),
-            None => FORMS.to_owned(),
-        }
+        unknown("parameter", text, names, FORMS)
     })
 }
 
@@ -234,16 +194,10 @@ impl Size {
 /// The two parameters with a serial number.
 fn serial_from(table: &mut Table<'_>) -> Option<[Parameter; 2]> {
     table.read("serial_from", Form::Text(None).list(2, 2), |value| {
-        let array = value.as_array().filter(|array| array.len() == 2);
-        let array = array.ok_or("must be two parameters like [\"11.052\", \"11.053\"]")?;
-        let one = |index: usize| {
-            array
-                .get(index)
-                .and_then(|value| value.get_ref().as_str())
-                .ok_or(FORMS.to_owned())
-                .and_then(parameter)
-        };
-        Ok([one(0)?, one(1)?])
+        let wrong = "must be two parameters like [\"11.052\", \"11.053\"]";
+        let mut both = elements(value, 2..=2).ok_or(wrong)?;
+        let mut next = || both.next().and_then(DeValue::as_str).ok_or(FORMS.to_owned()).and_then(parameter);
+        Ok([next()?, next()?])
     })
 }
 
@@ -257,9 +211,8 @@ fn via(table: &mut Table<'_>) -> Option<Via> {
         Some(_) => Err(FORMS.into()),
         None => {
             let only = value.as_table().filter(|table| table.len() == 1);
-            let first = only.and_then(|table| table.get("menu_0")).and_then(|first| integer(first.get_ref()));
-            let first =
-                first.filter(|first| (1..=80).contains(first)).and_then(|first| u8::try_from(first).ok());
+            let first = only.and_then(|table| integer(table.get("menu_0")?.get_ref()));
+            let first = first.filter(|first| (1..=80).contains(first)).map(|first| first as u8);
             first.map(|first| Via::Menu0 { first }).ok_or(FORMS.into())
         }
     })
@@ -268,14 +221,8 @@ fn via(table: &mut Table<'_>) -> Option<Via> {
 fn watchdog(table: &mut Table<'_>, watchdog: &mut Watchdog) {
     let hint = "the drive trips after this time without Modbus traffic; or \"off\"";
     table.table("watchdog", |table| {
-        let timeout_ns =
-            table.read("timeout", Form::Time.or(Form::word("off")), |value| match value.as_str() {
-                Some("off") => Ok(None),
-                _ => time(value, &(MS..=WATCHDOG_MAX_NS), hint).map(Some),
-            });
-        set(&mut watchdog.timeout_ns, timeout_ns);
+        set(&mut watchdog.timeout_ns, table.time_or_off("timeout", MS..=WATCHDOG_MAX_NS, hint));
         set(&mut watchdog.keypad, table.flag("keypad"));
     });
-    let accept = table.word("no_drive_watchdog", &[("accept", true), ("refuse", false)]);
-    set(&mut watchdog.accept_none, accept);
+    set(&mut watchdog.accept_none, accepts_no_watchdog(table));
 }

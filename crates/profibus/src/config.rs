@@ -21,16 +21,15 @@ use super::plan::{
     RETRIES_MAX, Rs485, SLOT_MARGIN_BITS, Scale, ShownWord, StatusBit,
 };
 use super::wire::telegram::STATION_MAX;
-use fieldbeat_core::axis::feedback::MONITOR_CHANNELS;
-use fieldbeat_core::axis::{PlanFault, Unit, is_plain_name};
+use fieldbeat_core::axis::{Faults, is_plain_name};
 use fieldbeat_core::bus::{BusPlan, Grid};
 use fieldbeat_core::time::MS;
-use fieldbeat_keys::bus::drive_tables;
+use fieldbeat_keys::bus::{accepts_no_watchdog, drive_tables, interface};
 use fieldbeat_keys::drive::{Counts, axis};
 use fieldbeat_keys::form::Form;
 use fieldbeat_keys::machine::Machine;
-use fieldbeat_keys::table::{Table, integer, number, set, time};
-use fieldbeat_keys::value::{SHORT_NAME, SOMETHING, alternatives};
+use fieldbeat_keys::table::{Table, integer, list, number, set};
+use fieldbeat_keys::value::{SHORT_NAME, alternatives};
 
 /// This protocol, for the list of all of them.
 pub const REGISTERED: Protocol = Protocol {
@@ -42,10 +41,14 @@ pub const REGISTERED: Protocol = Protocol {
     outline: outline::OUTLINE,
 };
 
-const COUNTS: Counts =
-    Counts { what: "revolutions of the motor", unit: Unit::Revolution, per_unit: 1.0, wire: 1.0 };
 /// The units of a shown word.
 const UNITS: [&str; 9] = ["", "%", "A", "V", "Hz", "rpm", "Nm", "W", "°C"];
+
+/// What its device is, where it is missing and where it is wrong.
+const DEVICE: [&str; 2] = [
+    "a serial port, like \"/dev/ttyS1\", or \"local:NAME\"",
+    "a serial port, like \"/dev/ttyS1\", or \"local:NAME\", a simulated wire on this host",
+];
 
 /// With each table that may be missing.
 pub const SPECIMEN: &str = "device = \"local:x\"\n[[bus.drive]]\nname = \"x\"\naddress = 3\n";
@@ -53,7 +56,7 @@ pub const SPECIMEN: &str = "device = \"local:x\"\n[[bus.drive]]\nname = \"x\"\na
 /// Reads a `[[bus]]`.
 pub fn bus(table: &mut Table<'_>, machine: &mut Machine) -> Box<dyn BusPlan> {
     let name = machine.bus_name(table, PROTOCOL);
-    let device = device(table, machine);
+    let device = interface(table, machine, "device", DEVICE);
     let rate = table.read("rate", Form::numbers(RATES.map(i128::from)), |value| {
         let rate = integer(value).and_then(|rate| u32::try_from(rate).ok());
         rate.filter(|rate| RATES.contains(rate)).ok_or_else(|| format!("must be {} bit/s", rates()))
@@ -85,13 +88,11 @@ pub fn bus(table: &mut Table<'_>, machine: &mut Machine) -> Box<dyn BusPlan> {
     }
     let mut is_wrong = false;
     for (index, (table, drive)) in drives.iter().zip(&plan.drives).enumerate() {
+        let mut faults = plan.drive_faults(drive);
         let same = plan.drives[..index].iter().any(|other| other.address == drive.address);
-        let taken = same && table.gives("address");
-        let taken = taken.then(|| PlanFault::new("address", super::ADDRESS_TAKEN));
-        for fault in plan.drive_faults(drive).into_iter().chain(taken) {
-            is_wrong = true;
-            table.fault(fault.key, fault.message);
-        }
+        faults.wrong_if(same && table.gives("address"), "address", super::ADDRESS_TAKEN);
+        is_wrong |= !faults.is_empty();
+        table.faults(faults);
     }
     if !is_wrong {
         let grid = Grid { period_ns: machine.period_ns, deadline_ns: machine.deadline_ns };
@@ -101,14 +102,6 @@ pub fn bus(table: &mut Table<'_>, machine: &mut Machine) -> Box<dyn BusPlan> {
     }
     drives.into_iter().for_each(Table::finish);
     Box::new(plan)
-}
-
-fn device(table: &mut Table<'_>, machine: &mut Machine) -> Option<String> {
-    table.require("device", "a serial port, like \"/dev/ttyS1\", or \"local:NAME\"");
-    let hint = "a serial port, like \"/dev/ttyS1\", or \"local:NAME\", a simulated wire on this host";
-    let device = table.text("device", SOMETHING, hint, |text| (!text.is_empty()).then(|| text.to_owned()))?;
-    machine.claim_interface(table, "device", &device);
-    Some(device)
 }
 
 fn bits(table: &mut Table<'_>, bits: &mut Bits) {
@@ -140,31 +133,23 @@ fn integer_or_off<T: TryFrom<i128>>(
 ) -> Option<Option<T>> {
     let number =
         |value: &DeValue<'_>| integer(value).filter(|number| range.contains(number))?.try_into().ok();
-    let form = Form::integer(range.clone()).or(Form::word("off"));
-    table.read(key, form, |value| match (value.as_str(), number(value)) {
-        (Some("off"), _) => Ok(None),
-        (_, Some(number)) => Ok(Some(number)),
-        _ => Err(format!("must be {hint}, or \"off\"")),
+    table.read_or(key, Form::integer(range.clone()), "off", |value| {
+        number(value).ok_or_else(|| format!("must be {hint}, or \"off\""))
     })
 }
 
 fn drive(table: &mut Table<'_>, machine: &mut Machine) -> LenzeDrive {
-    let axis = axis(table, machine, COUNTS);
+    let axis = axis(table, machine, Counts::revolutions(1.0));
     table.require("address", "the address that is set at the module, 0 ... 125");
     let address = table.integer("address", 0..=ADDRESS_MAX.into(), "the address that is set at the module");
     let mut drive = LenzeDrive { axis, ..LenzeDrive::new("", address.unwrap_or(ADDRESS_MAX)) };
     let ident = "the ident number of the module, as its GSD has it";
     set(&mut drive.ident, table.integer("ident", 0..=0xFFFF, ident));
-    set(&mut drive.user_prm, bytes(table, "user_prm", USER_PRM_MAX));
-    set(&mut drive.configuration, bytes(table, "configuration", DATA_MAX));
+    set(&mut drive.user_prm, table.byte_list("user_prm", USER_PRM_MAX));
+    set(&mut drive.configuration, table.byte_list("configuration", DATA_MAX));
     let watchdog = "the drive stops when it is not addressed for this time; or \"off\"";
-    let timeout_ns = table.read("watchdog", Form::Time.or(Form::word("off")), |value| match value.as_str() {
-        Some("off") => Ok(None),
-        _ => time(value, &(MS..), watchdog).map(Some),
-    });
-    set(&mut drive.watchdog.timeout_ns, timeout_ns);
-    let accept = table.word("no_drive_watchdog", &[("accept", true), ("refuse", false)]);
-    set(&mut drive.watchdog.accept_none, accept);
+    set(&mut drive.watchdog.timeout_ns, table.time_or_off("watchdog", MS.., watchdog));
+    set(&mut drive.watchdog.accept_none, accepts_no_watchdog(table));
     let tsdr = "the drive answers no sooner, bits; 0: it keeps what it has";
     set(&mut drive.min_tsdr, table.integer("min_tsdr", 0..=255, tsdr));
     let interval = "Min_Slave_Intervall of its GSD, in units of 100us there";
@@ -179,21 +164,14 @@ fn drive(table: &mut Table<'_>, machine: &mut Machine) -> LenzeDrive {
     drive.enable_bit = enable_bit(table).unwrap_or(drive.profile.usual_enable_bit());
     scale(table, &mut drive.scale);
     drive.further = table.integers("further", DATA_MAX / 2, u16::MAX);
-    set(
-        &mut drive.show,
-        table.read("monitor", Form::False.or(shown_form().list(1, MONITOR_CHANNELS)), monitor),
-    );
+    let wrong = "must be false, or up to four words like [{ name = \"torque\", word = 2 }]";
+    set(&mut drive.show, table.some_of("monitor", shown_form(), wrong, shown));
     let fault_at = "a byte of the extended diagnosis, 0 ... 242";
     set(&mut drive.fault_at, integer_or_off(table, "fault_at", 0..=242, fault_at));
     let most = "its most bytes, Max_Diag_Data_Len of its GSD less 6";
     set(&mut drive.extended_diagnosis, table.integer("extended_diagnosis", 0..=238, most));
     table.later("simulate");
     drive
-}
-
-fn bytes(table: &mut Table<'_>, key: &'static str, most: usize) -> Option<Vec<u8>> {
-    let bytes = table.integers(key, most, u16::from(u8::MAX));
-    table.gives(key).then(|| bytes.into_iter().map(|byte| byte as u8).collect())
 }
 
 /// Groups of Global_Control, a bit each.
@@ -203,9 +181,8 @@ fn groups(table: &mut Table<'_>) -> Option<u8> {
             Some(group @ 1..=8) => Some(1_u8 << (group - 1)),
             _ => None,
         };
-        let array = value.as_array().map(|array| array.iter().map(|group| bit(group.get_ref())));
-        let mask = array.and_then(|mut bits| bits.try_fold(0, |mask, bit| Some(mask | bit?)));
-        mask.ok_or("must be a list of groups of Global_Control, 1 ... 8".into())
+        let bits = list(value, .., bit).ok_or("must be a list of groups of Global_Control, 1 ... 8")?;
+        Ok(bits.into_iter().fold(0, |mask, bit| mask | bit))
     })
 }
 
@@ -237,21 +214,18 @@ fn enable_bit(table: &mut Table<'_>) -> Option<Option<StatusBit>> {
     const FORMS: &str = "must be a bit of the status word, 0 ... 15, { bit = 12, set = false }, or \"off\"";
     let bit = || Form::integer(0..=15);
     let parts = Form::Fields(vec![("bit", bit(), true), ("set", Form::Flag, false)]);
-    table.read("enable_bit", bit().or(parts).or(Form::word("off")), |value| {
+    table.read_or("enable_bit", bit().or(parts), "off", |value| {
         let bit = |value: &DeValue<'_>| match integer(value) {
             Some(bit @ 0..=15) => Some(bit as u8),
             _ => None,
         };
-        if value.as_str() == Some("off") {
-            return Ok(None);
-        }
         let Some(parts) = value.as_table() else {
-            return bit(value).map(|bit| Some(StatusBit { bit, set: true })).ok_or(FORMS.into());
+            return bit(value).map(|bit| StatusBit { bit, set: true }).ok_or(FORMS.into());
         };
         let set = parts.get("set").map_or(Some(true), |set| set.get_ref().as_bool());
         let known = parts.iter().all(|(key, _)| matches!(&**key.get_ref(), "bit" | "set"));
         let bit = parts.get("bit").and_then(|value| bit(value.get_ref())).filter(|_| known);
-        bit.zip(set).map(|(bit, set)| Some(StatusBit { bit, set })).ok_or(FORMS.into())
+        bit.zip(set).map(|(bit, set)| StatusBit { bit, set }).ok_or(FORMS.into())
     })
 }
 
@@ -264,20 +238,6 @@ fn scale(table: &mut Table<'_>, scale: &mut Scale) {
     set(&mut scale.full_count, table.integer("full_count", 1..=i16::MAX.into(), count));
     let rpm = "the full speed, as C0011 has it, rpm";
     set(&mut scale.full_rpm, table.number("full_rpm", 1e-3..=1e6, rpm));
-}
-
-/// Up to four words of the inputs, or `false`.
-fn monitor(value: &DeValue<'_>) -> Result<[Option<ShownWord>; MONITOR_CHANNELS], String> {
-    let mut show = [const { None }; MONITOR_CHANNELS];
-    if value.as_bool() == Some(false) {
-        return Ok(show);
-    }
-    let array = value.as_array().filter(|array| (1..=MONITOR_CHANNELS).contains(&array.len()));
-    let array = array.ok_or("must be false, or up to four words like [{ name = \"torque\", word = 2 }]")?;
-    for (channel, value) in show.iter_mut().zip(array) {
-        *channel = Some(shown(value.get_ref())?);
-    }
-    Ok(show)
 }
 
 /// What [`shown`] takes.

@@ -1,12 +1,14 @@
 //! `[[bus.device]]` of `protocol = "ethercat"`: a slave that is no drive.
 
+use toml::de::DeValue;
+
 use super::slave;
 use super::values::start;
 use crate::{Area, Device, SlavePlan, TERMINAL_MAX};
 use fieldbeat_keys::drive::name;
 use fieldbeat_keys::form::Form;
 use fieldbeat_keys::machine::Machine;
-use fieldbeat_keys::table::Table;
+use fieldbeat_keys::table::{Table, elements};
 
 /// The most bytes of process data, each way.
 const MOST_BYTES: i128 = TERMINAL_MAX as i128;
@@ -24,16 +26,11 @@ pub(super) fn device(table: &mut Table<'_>, machine: &mut Machine) -> Device {
 
 /// Where its process data of one direction are: a table, or a list of them; none if the key is absent.
 fn areas(table: &mut Table<'_>, key: &'static str) -> Vec<Area> {
-    let is_list =
-        table.read(key, Form::Table.or(Form::Tables), |value| match (value.as_table(), value.as_array()) {
-            (Some(_), _) => Ok(false),
-            (_, Some(list))
-                if !list.is_empty() && list.iter().all(|area| area.get_ref().as_table().is_some()) =>
-            {
-                Ok(true)
-            }
-            _ => Err("must be { start = 0x1000, length = 1 }, or a list of them".into()),
-        });
+    let is_list = table.read(key, Form::Table.or(Form::Tables), |value| {
+        let is_list = elements(value, 1..).is_some_and(|mut all| all.all(DeValue::is_table));
+        let is_known = is_list || value.is_table();
+        is_known.then_some(is_list).ok_or("must be { start = 0x1000, length = 1 }, or a list of them".into())
+    });
     let read = |mut table: Table<'_>| {
         let area = area(&mut table);
         table.finish();

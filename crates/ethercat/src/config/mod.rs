@@ -12,22 +12,20 @@ use fieldbeat_keys::Protocol;
 use std::ops::RangeInclusive;
 
 use device::device;
-use values::{identity, layout, layout_form, mailbox, shown, start, start_up, start_up_form};
+use values::{identity, layout, layout_form, mailbox, object, start, start_up, start_up_form};
 
 use super::PROTOCOL;
 use super::mode::Mode;
 use super::object::Family;
 use super::plan::{EthercatPlan, KollmorgenDrive, Mapping, Owner, Scaling, SlavePlan, Watchdog};
-use fieldbeat_core::axis::Unit;
 use fieldbeat_core::axis::feedback::MONITOR_CHANNELS;
 use fieldbeat_core::bus::BusPlan;
 use fieldbeat_core::time::{MS, S, US};
-use fieldbeat_keys::bus::{drive_tables, drive_tables_if_any};
+use fieldbeat_keys::bus::{accepts_no_watchdog, drive_tables, drive_tables_if_any, interface};
 use fieldbeat_keys::drive::{Counts, axis};
 use fieldbeat_keys::form::Form;
 use fieldbeat_keys::machine::Machine;
-use fieldbeat_keys::table::{POSITIVE, Table, integer, time};
-use fieldbeat_keys::value::SOMETHING;
+use fieldbeat_keys::table::{POSITIVE, Table, integer, set};
 
 /// This protocol, for the list of all of them.
 pub const REGISTERED: Protocol = Protocol {
@@ -49,6 +47,13 @@ const SDO_TIMEOUTS: RangeInclusive<u64> = 10 * MS..=60 * S;
 /// The range of `state_timeout`.
 const STATE_TIMEOUTS: RangeInclusive<u64> = 100 * MS..=60 * S;
 
+/// What its interface is, where it is missing and where it is wrong.
+const INTERFACE: [&str; 2] = [
+    "the network interface of the segment, like \"eth1\", or \"local:NAME\" for simulated slaves on this \
+     computer",
+    "the name of a network interface, like \"eth1\"",
+];
+
 /// With each table that may be missing.
 pub const SPECIMEN: &str = "interface = \"local:x\"\n[[bus.drive]]\nname = \"x\"\nmailbox = {}\n\
      [[bus.device]]\nname = \"y\"\n\
@@ -61,23 +66,17 @@ const OWN: &[&str] = &["name", "position", "serial", "alias", "identification"];
 /// Reads a `[[bus]]`.
 pub fn bus(table: &mut Table<'_>, machine: &mut Machine) -> Box<dyn BusPlan> {
     let name = machine.bus_name(table, PROTOCOL);
-    let interface = interface(table, machine).unwrap_or_default();
+    let interface = interface(table, machine, "interface", INTERFACE).unwrap_or_default();
     let is_known = !interface.is_empty();
     // Terminals alone are a segment, too.
     let of_drives = if table.gives("device") { drive_tables_if_any } else { drive_tables };
     let (mut drives, mut devices) = (of_drives(table, OWN), table.tables("device"));
-    let mut plan = EthercatPlan {
-        name,
-        ahead_of_sync_ns: table.time(
-            "sync_ahead",
-            US..=S,
-            "the time between the departure of a frame and SYNC0",
-        ),
-        lrw: table.flag("lrw").unwrap_or(true),
-        drives: drives.iter_mut().map(|table| drive(table, machine)).collect(),
-        devices: devices.iter_mut().map(|table| device(table, machine)).collect(),
-        ..EthercatPlan::new(interface, Vec::new())
-    };
+    let mut plan = EthercatPlan { name, ..EthercatPlan::new(interface, Vec::new()) };
+    let ahead = "the time between the departure of a frame and SYNC0";
+    plan.ahead_of_sync_ns = table.time("sync_ahead", US..=S, ahead);
+    set(&mut plan.lrw, table.flag("lrw"));
+    plan.drives = drives.iter_mut().map(|table| drive(table, machine)).collect();
+    plan.devices = devices.iter_mut().map(|table| device(table, machine)).collect();
     table.later("simulate");
     place(&mut plan, &mut drives, &mut devices);
     for (owner, fault) in plan.findings(machine.period_ns) {
@@ -91,20 +90,6 @@ pub fn bus(table: &mut Table<'_>, machine: &mut Machine) -> Box<dyn BusPlan> {
     }
     drives.into_iter().chain(devices).for_each(Table::finish);
     Box::new(plan)
-}
-
-fn interface(table: &mut Table<'_>, machine: &mut Machine) -> Option<String> {
-    table.require(
-        "interface",
-        "the network interface of the segment, like \"eth1\", or \"local:NAME\" for simulated slaves on this \
-         computer",
-    );
-    let interface =
-        table.text("interface", SOMETHING, "the name of a network interface, like \"eth1\"", |text| {
-            (!text.is_empty()).then(|| text.to_owned())
-        })?;
-    machine.claim_interface(table, "interface", &interface);
-    Some(interface)
 }
 
 /// Gives each slave its place: its own one, or the one behind the slave before it in the file.
@@ -126,65 +111,48 @@ fn drive(table: &mut Table<'_>, machine: &mut Machine) -> KollmorgenDrive {
     let types: Vec<(&str, Family)> = types.into_iter().chain([("akd", Family::Akd)]).collect();
     let family = table.word("type", &types).unwrap_or_default();
     let mut drive = KollmorgenDrive::new("", 0, family);
-    drive.scaling = scaling(table, drive.scaling);
-    drive.check_prbase = table.flag("check_prbase").unwrap_or(drive.check_prbase);
-    drive.axis = axis(
-        table,
-        machine,
-        Counts {
-            what: "revolutions of the motor",
-            unit: Unit::Revolution,
-            per_unit: 1.0,
-            wire: drive.scaling.increments(),
-        },
-    );
+    scaling(table, &mut drive.scaling);
+    set(&mut drive.check_prbase, table.flag("check_prbase"));
+    drive.axis = axis(table, machine, Counts::revolutions(drive.scaling.increments()));
     slave(table, &mut drive.slave);
     pdos(table, &mut drive);
     drive.mode = mode(table);
-    drive.native = table.word("setpoints", &[("master", false), ("native", true)]).unwrap_or(false);
-    drive.accept_no_watchdog =
-        table.word("no_drive_watchdog", &[("accept", true), ("refuse", false)]).unwrap_or(false);
-    drive.home_method = table.integer(
-        "home_method",
-        -128..=127,
-        "the method of homing of object 6098h; leave it out for the drive's own",
-    );
-    drive.absolute = table.flag("absolute").unwrap_or(drive.absolute);
-    drive.show = table
-        .read("monitor", Form::False.or(Form::Text(None).list(1, MONITOR_CHANNELS)), shown)
-        .unwrap_or(drive.show);
+    set(&mut drive.native, table.word("setpoints", &[("master", false), ("native", true)]));
+    set(&mut drive.accept_no_watchdog, accepts_no_watchdog(table));
+    let method = "the method of homing of object 6098h; leave it out for the drive's own";
+    drive.home_method = table.integer("home_method", -128..=127, method);
+    set(&mut drive.absolute, table.flag("absolute"));
+    let wrong = format!("must be false, or up to {MONITOR_CHANNELS} objects like [\"torque\", \"0x6061:0\"]");
+    set(&mut drive.show, table.some_of("monitor", Form::Text(None), &wrong, object));
     table.later("simulate");
     drive
 }
 
 /// What every slave with a mailbox has, drive or not.
 pub(super) fn slave(table: &mut Table<'_>, slave: &mut SlavePlan) {
-    slave.identity = identity(table, slave.identity);
+    identity(table, &mut slave.identity);
     slave.mailbox = mailbox(table, slave.mailbox);
-    slave.sync = table.flag("sync").unwrap_or(slave.sync);
-    slave.check_sii = table.flag("check_sii").unwrap_or(slave.check_sii);
+    set(&mut slave.sync, table.flag("sync"));
+    set(&mut slave.check_sii, table.flag("check_sii"));
     let hint = "the time that the slave may take to answer an SDO, from its description (ESI)";
-    slave.sdo_timeout_ns = table.time("sdo_timeout", SDO_TIMEOUTS, hint).unwrap_or(slave.sdo_timeout_ns);
+    set(&mut slave.sdo_timeout_ns, table.time("sdo_timeout", SDO_TIMEOUTS, hint));
     let hint = "the time that the slave may take to enter a state, from its description (ESI)";
-    slave.state_timeout_ns =
-        table.time("state_timeout", STATE_TIMEOUTS, hint).unwrap_or(slave.state_timeout_ns);
-    slave.start_up = table.read("start_up", start_up_form(), start_up).unwrap_or_default();
+    set(&mut slave.state_timeout_ns, table.time("state_timeout", STATE_TIMEOUTS, hint));
+    set(&mut slave.start_up, table.read("start_up", start_up_form(), start_up));
     let hint = "the slave stops by itself after this time without outputs; or \"off\"";
-    let watchdog = table.read("watchdog", Form::Time.or(Form::word("off")), |value| match value.as_str() {
-        Some("off") => Ok(Watchdog::Off),
-        _ => time(value, &(100 * US..=WATCHDOG_MAX_NS), hint).map(Watchdog::After),
-    });
-    slave.watchdog = watchdog.unwrap_or_default();
+    let watchdog = table.time_or_off("watchdog", 100 * US..=WATCHDOG_MAX_NS, hint);
+    set(&mut slave.watchdog, watchdog.map(|ns| ns.map_or(Watchdog::Off, Watchdog::After)));
 }
 
 fn pdos(table: &mut Table<'_>, drive: &mut KollmorgenDrive) {
     let family = drive.family;
-    let [outputs, inputs] = table.table("pdo", |table| {
-        [("outputs", 0x1600), ("inputs", 0x1A00)]
-            .map(|(key, free)| table.read(key, layout_form(), |value| layout(value, family, free)))
+    table.table("pdo", |table| {
+        for (key, free, place) in
+            [("outputs", 0x1600, &mut drive.outputs), ("inputs", 0x1A00, &mut drive.inputs)]
+        {
+            set(place, table.read(key, layout_form(), |value| layout(value, family, free)));
+        }
     });
-    drive.outputs = outputs.unwrap_or_else(|| drive.outputs.clone());
-    drive.inputs = inputs.unwrap_or_else(|| drive.inputs.clone());
     drive.fit();
     // Fixed ones are 17xxh and 1Bxxh.
     let is_free = [&drive.outputs, &drive.inputs].iter().all(|layout| layout.pdo & 0x0100 == 0);
@@ -231,17 +199,13 @@ fn mode(table: &mut Table<'_>) -> Option<Mode> {
     })
 }
 
-fn scaling(table: &mut Table<'_>, default: Scaling) -> Scaling {
-    Scaling {
-        prbase: table
-            .integer("prbase", 1..=31, "the increments per turn as a power of two, PRBASE of the drive")
-            .unwrap_or(default.prbase),
-        rpm_per_count: table
-            .number("velocity_rpm_per_count", POSITIVE, "rpm of a count of the velocity setpoint")
-            .unwrap_or(default.rpm_per_count),
-        permille_per_count: table
-            .number("torque_permille_per_count", POSITIVE, "per mille of the rated torque or current")
-            .unwrap_or(default.permille_per_count),
-        rated_current: table.number("rated_current", POSITIVE, "of the motor, A"),
-    }
+fn scaling(table: &mut Table<'_>, scaling: &mut Scaling) {
+    let prbase = "the increments per turn as a power of two, PRBASE of the drive";
+    set(&mut scaling.prbase, table.integer("prbase", 1..=31, prbase));
+    let rpm = table.number("velocity_rpm_per_count", POSITIVE, "rpm of a count of the velocity setpoint");
+    set(&mut scaling.rpm_per_count, rpm);
+    let torque = "per mille of the rated torque or current";
+    let permille = table.number("torque_permille_per_count", POSITIVE, torque);
+    set(&mut scaling.permille_per_count, permille);
+    scaling.rated_current = table.number("rated_current", POSITIVE, "of the motor, A");
 }

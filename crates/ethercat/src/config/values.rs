@@ -7,8 +7,8 @@ use crate::object::{Family, Objects, Target, catalogue, string};
 use crate::{Area, Expected, Start};
 use fieldbeat_core::axis::acyclic::Notation;
 use fieldbeat_keys::form::Form;
-use fieldbeat_keys::table::{Table, integer};
-use fieldbeat_keys::value::closest;
+use fieldbeat_keys::table::{Table, elements, integer, list, set};
+use fieldbeat_keys::value::unknown;
 
 /// The most objects in a PDO: what its subindices count comfortably.
 const MOST_OBJECTS: usize = 32;
@@ -42,18 +42,16 @@ fn word(value: &DeValue<'_>) -> Option<u16> {
     u16::try_from(number(value)?).ok()
 }
 
-/// Who a slave has to be; what the file leaves out is as in `default`.
-pub(super) fn identity(table: &mut Table<'_>, default: Expected) -> Expected {
+/// Who a slave has to be.
+pub(super) fn identity(table: &mut Table<'_>, of: &mut Expected) {
     const LONG: (i128, &str) = (u32::MAX as i128, "32 bits like 0x6A");
     const SHORT: (i128, &str) = (u16::MAX as i128, "16 bits");
-    Expected {
-        vendor: expected(table, "vendor", LONG, default.vendor),
-        product: expected(table, "product", LONG, default.product),
-        revision: expected(table, "revision", LONG, default.revision),
-        serial: expected(table, "serial", LONG, default.serial),
-        alias: expected(table, "alias", SHORT, default.alias),
-        identification: expected(table, "identification", SHORT, default.identification),
-    }
+    set(&mut of.vendor, expected(table, "vendor", LONG));
+    set(&mut of.product, expected(table, "product", LONG));
+    set(&mut of.revision, expected(table, "revision", LONG));
+    set(&mut of.serial, expected(table, "serial", LONG));
+    set(&mut of.alias, expected(table, "alias", SHORT));
+    set(&mut of.identification, expected(table, "identification", SHORT));
 }
 
 /// A number up to `most` by which a slave is known, or any.
@@ -61,16 +59,11 @@ fn expected<T: TryFrom<i128>>(
     table: &mut Table<'_>,
     key: &'static str,
     (most, what): (i128, &str),
-    default: Option<T>,
-) -> Option<T> {
-    let value = table.read(key, number_form(most).or(Form::word("any")), |value| match value.as_str() {
-        Some("any") => Ok(None),
-        _ => number(value)
-            .and_then(|number| T::try_from(number).ok())
-            .map(Some)
-            .ok_or_else(|| format!("must be a number of {what}, or \"any\"")),
-    });
-    value.unwrap_or(default)
+) -> Option<Option<T>> {
+    table.read_or(key, number_form(most), "any", |value| {
+        let number = number(value).and_then(|number| T::try_from(number).ok());
+        number.ok_or_else(|| format!("must be a number of {what}, or \"any\""))
+    })
 }
 
 /// `[start, bytes]`
@@ -91,14 +84,9 @@ pub(super) fn mailbox(table: &mut Table<'_>, default: Option<[Area; 2]>) -> Opti
 }
 
 fn area(table: &mut Table<'_>, key: &'static str) -> Option<Area> {
-    table.read(key, word_form().list(2, 2), |value| {
-        let pair = value.as_array().filter(|array| array.len() == 2);
-        let words: Option<Vec<u16>> =
-            pair.and_then(|pair| pair.iter().map(|value| word(value.get_ref())).collect());
-        match words.as_deref() {
-            Some(&[start, length]) if (16..=1486).contains(&length) => Ok(Area { start, length }),
-            _ => Err("must be its start and its bytes, 16 ... 1486: [0x1800, 16]".into()),
-        }
+    table.read(key, word_form().list(2, 2), |value| match list(value, 2..=2, word).as_deref() {
+        Some(&[start, length]) if (16..=1486).contains(&length) => Ok(Area { start, length }),
+        _ => Err("must be its start and its bytes, 16 ... 1486: [0x1800, 16]".into()),
     })
 }
 
@@ -113,13 +101,11 @@ const OBJECT: &str = "an object like \"0x6041:0\" or \"status-word\", with its t
      not known here: \"0x3612:0.i32\"";
 
 /// An object and its type.
-fn object(value: &DeValue<'_>) -> Result<Entry, String> {
+pub(super) fn object(value: &DeValue<'_>) -> Result<Entry, String> {
     let text = value.as_str().ok_or_else(|| format!("must be {OBJECT}"))?;
+    let names = catalogue::all().map(|known| known.name);
     let target =
-        Target::parse(text).ok_or_else(|| match closest(text, catalogue::all().map(|known| known.name)) {
-            Some(name) => format!("has an unknown object; did you mean \"{name}\"?"),
-            None => format!("must be {OBJECT}"),
-        })?;
+        Target::parse(text).ok_or_else(|| unknown("object", text, names, &format!("must be {OBJECT}")))?;
     let kind = target.kind.ok_or_else(|| {
         let object = target.object;
         format!("{object} is not known here; write its type behind it, like \"{object}.i32\"")
@@ -128,24 +114,8 @@ fn object(value: &DeValue<'_>) -> Result<Entry, String> {
 }
 
 fn objects(value: &DeValue<'_>) -> Result<Vec<Entry>, String> {
-    let array = value.as_array().filter(|array| (1..=MOST_OBJECTS).contains(&array.len()));
-    let array = array.ok_or_else(|| format!("must be a list of 1 to {MOST_OBJECTS} objects"))?;
-    array.iter().map(|value| object(value.get_ref())).collect()
-}
-
-/// `false`, or objects that are shown besides.
-pub(super) fn shown<const N: usize>(value: &DeValue<'_>) -> Result<[Option<Entry>; N], String> {
-    let mut shown = [None; N];
-    if value.as_bool() == Some(false) {
-        return Ok(shown);
-    }
-    let array = value.as_array().filter(|array| (1..=N).contains(&array.len()));
-    let array = array
-        .ok_or_else(|| format!("must be false, or up to {N} objects like [\"torque\", \"0x6061:0\"]"))?;
-    for (place, value) in shown.iter_mut().zip(array) {
-        *place = Some(object(value.get_ref())?);
-    }
-    Ok(shown)
+    let wrong = || format!("must be a list of 1 to {MOST_OBJECTS} objects");
+    elements(value, 1..=MOST_OBJECTS).ok_or_else(wrong)?.map(object).collect()
 }
 
 /// What [`index`] takes.
@@ -207,7 +177,6 @@ pub(super) fn start_up_form() -> Form {
 /// What is written in PREOP.
 pub(super) fn start_up(value: &DeValue<'_>) -> Result<Vec<Start>, String> {
     const FORM: &str = "must be a list like [{ object = \"0x35D5:1\", value = 4 }]";
-    let array = value.as_array().filter(|array| array.len() <= MOST_START_UP).ok_or(FORM)?;
     let one = |value: &DeValue<'_>| {
         let table = value.as_table().filter(|table| table.len() == 2).ok_or(FORM)?;
         let (address, value) = table.get("object").zip(table.get("value")).ok_or(FORM)?;
@@ -224,5 +193,5 @@ pub(super) fn start_up(value: &DeValue<'_>) -> Result<Vec<Start>, String> {
             None => Start::new(target, kind, raw),
         })
     };
-    array.iter().map(|value| one(value.get_ref())).collect()
+    elements(value, ..=MOST_START_UP).ok_or(FORM)?.map(one).collect()
 }

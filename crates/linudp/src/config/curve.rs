@@ -14,7 +14,7 @@ use fieldbeat_keys::error::ConfigErrors;
 use fieldbeat_keys::file::{self, whole_file};
 use fieldbeat_keys::form::Form;
 use fieldbeat_keys::page::{Page, Place};
-use fieldbeat_keys::table::{Table, integer, number};
+use fieldbeat_keys::table::{Table, integer, list, number};
 use fieldbeat_keys::value;
 
 /// The column of an axis, and the decimals of one wire count in its unit.
@@ -164,10 +164,9 @@ fn length(head: &mut Table<'_>, (_, decimals): Column) -> Option<u32> {
 
 fn wizard_parameters(head: &mut Table<'_>) -> Option<[u32; 7]> {
     head.read("wizard_parameters", Form::integer(0..=u32::MAX.into()).list(7, 7), |value| {
-        let number = |element| integer(element).and_then(|number| u32::try_from(number).ok());
-        let list = value.as_array().map(|array| array.iter().map(|element| number(element.get_ref())));
-        let list = list.and_then(Iterator::collect::<Option<Vec<u32>>>).and_then(|list| list.try_into().ok());
-        list.ok_or_else(|| "must be a list of 7 whole numbers, 0 to 4294967295".into())
+        let list = list(value, 7..=7, |number| u32::try_from(integer(number)?).ok());
+        let wrong = "must be a list of 7 whole numbers, 0 to 4294967295";
+        list.and_then(|list| list.try_into().ok()).ok_or(wrong.into())
     })
 }
 
