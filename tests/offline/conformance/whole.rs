@@ -288,8 +288,8 @@ pub fn a_restart_in_mid_motion_ends_latched_and_nothing_moves_by_itself(subject:
     assert_eq!((m.feedback(1).stopped, m.outcome(1, ids[1])), (None, None), "its neighbour goes on");
 }
 
-/// Neither the loss of its link nor anything else stops it before: what the drive was commanded to do before it restarted
-/// is not sent to it again, not even in the first telegrams.
+/// Neither the loss of its link nor anything else stops it before: what the drive was commanded to do before it
+/// restarted is not sent to it again, not even in the first telegrams.
 pub fn a_restart_that_nothing_else_shows_brings_no_power_back(subject: &'static dyn Subject) {
     if subject.can().sessions {
         return not_applicable(subject, "a restart within the bucket of its link", "its session ends first");

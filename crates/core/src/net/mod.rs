@@ -98,7 +98,8 @@ pub trait Datagrams: Send {
 /// datagrams never delays the cycle.
 const MOST_BATCHES: usize = 4;
 
-/// Takes in what has arrived, up to a bounded amount, and calls `take` for each datagram. False: it ended with an error.
+/// Takes in what has arrived, up to a bounded amount, and calls `take` for each datagram. False: the carrier had an
+/// error.
 pub fn take_in(carrier: &mut dyn Datagrams, take: &mut dyn FnMut(Received<'_>)) -> bool {
     for _ in 0..MOST_BATCHES {
         match carrier.receive(take) {
