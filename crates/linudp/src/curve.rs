@@ -202,9 +202,7 @@ impl Curve {
 }
 
 #[cfg(test)]
-pub(crate) mod tests {
-    use proptest::prelude::*;
-
+mod tests {
     use super::*;
 
     fn lift() -> Curve {
@@ -219,34 +217,6 @@ pub(crate) mod tests {
             wizard_parameters: [1, 0, 0, 0, 0, 0, 0x0403_0201],
             setpoints: vec![0, 100_000, -1],
         }
-    }
-
-    /// Curves as a drive may hold them, more often than not with a name, and with dimensions that are known.
-    pub(crate) fn any_curve() -> impl Strategy<Value = Curve> {
-        let name = prop_oneof![
-            "[ -~]{0,22}".prop_map(|name| Curve::name_bytes(&name).unwrap()),
-            any::<[u8; NAME_SIZE]>()
-        ];
-        let x_length = prop_oneof![any::<u32>(), 0_u32..100];
-        let dimension = || prop_oneof![Just(5), Just(26), Just(27), any::<u16>()].prop_map(Dimension);
-        let setpoints = prop::collection::vec(any::<i32>(), 2..80);
-        let head = (1_u16..=100, any::<bool>(), name, x_length, dimension(), dimension());
-        (head, any::<u16>(), any::<[u32; 7]>(), setpoints).prop_map(
-            |((id, cam, name, x_length, x_dimension, y_dimension), wizard, wizard_parameters, setpoints)| {
-                let kind = if cam { CurveKind::Cam } else { CurveKind::Time };
-                Curve {
-                    id,
-                    kind,
-                    name,
-                    x_length,
-                    x_dimension,
-                    y_dimension,
-                    wizard,
-                    wizard_parameters,
-                    setpoints,
-                }
-            },
-        )
     }
 
     /// Drive Configuration manual, curve info block.
@@ -328,18 +298,5 @@ pub(crate) mod tests {
         }
         assert_eq!(Curve { x_length: 0, ..curve.clone() }.position_at(0.5), -500.0);
         assert_eq!(Curve { setpoints: vec![], ..curve }.position_at(7.0), 0.0);
-    }
-
-    proptest! {
-        #[test]
-        fn any_bytes_are_read_or_refused(
-            info in prop::collection::vec(any::<u8>(), 0..80),
-            data in prop::collection::vec(any::<u8>(), 0..40),
-        ) {
-            if let Ok(curve) = Curve::decode(&info, &data) {
-                let (again, same) = curve.encode().unwrap();
-                prop_assert_eq!((&again[..], &same[..]), (&info[..INFO_SIZE], &data[..]));
-            }
-        }
     }
 }

@@ -1,8 +1,6 @@
-//! The catalogue, streams, and any bytes.
+//! The catalogue and streams.
 
 mod golden;
-
-use proptest::prelude::*;
 
 use super::*;
 
@@ -52,24 +50,4 @@ fn streams_carry_what_their_command_has_and_signs() {
         assert_eq!(S::from_id(command.id()), Some(command));
     }
     assert_eq!(S::from_id(0x036), None);
-}
-
-proptest! {
-    #[test]
-    fn any_command_that_is_known_comes_back_from_its_values(
-        index in any::<prop::sample::Index>(),
-        parameters in any::<[u8; 30]>(),
-    ) {
-        let info = index.get(CATALOGUE);
-        let values = info.values(&parameters);
-        let out_of_range = info.fields.iter().find(|field| field.kind.check(field.read(&parameters)).is_err());
-        match info.command(&values) {
-            Ok(command) => {
-                prop_assert_eq!(out_of_range, None);
-                prop_assert_eq!(&command.parameters[..info.size()], &parameters[..info.size()]);
-                prop_assert!(command.parameters[info.size()..].iter().all(|byte| *byte == 0));
-            }
-            Err((field, _)) => prop_assert_eq!(Some(&field), out_of_range),
-        }
-    }
 }

@@ -199,15 +199,4 @@ proptest! {
             prop_assert_eq!(Service::of(&service.into()), Some(service));
         }
     }
-
-    #[test]
-    fn no_text_makes_the_notation_panic(
-        address in "[0-9.a-z-]{0,12}|\\PC{0,12}",
-        value in "[0-9.x-]{0,12}|\\PC{0,12}",
-        raw in any::<u64>(),
-    ) {
-        let _ = (Parameters.value(&address, &value), Parameters.write(&address, raw));
-        let _ = (Parameters.show(&address, raw), Parameters.number(&address, raw));
-        let _ = Parameters.in_unit("01.021", &value);
-    }
 }

@@ -116,7 +116,7 @@ fn inputs_are_those_of_tshark_and_of_the_host_command_reference() {
 }
 
 #[test]
-fn both_orders_of_the_inputs_and_no_other_size() {
+fn both_orders_of_the_inputs() {
     let data: Vec<u8> =
         (1..=14_u32).flat_map(|element| ((element << 16) | (100 + element)).to_le_bytes()).collect();
     let value = |element: u32| (element << 16) | (100 + element);
@@ -138,14 +138,6 @@ fn both_orders_of_the_inputs_and_no_other_size() {
         ..inputs
     };
     assert_eq!(rest(page), rest(manual));
-    for size in 0..=data.len() + 1 {
-        let mut other = data.clone();
-        other.resize(size, 0);
-        for layout in [Layout::Manual, Layout::Page] {
-            assert_eq!(Inputs::parse(&other, Version::V1, layout).is_some(), size == 30);
-            assert_eq!(Inputs::parse(&other, Version::V2, layout).is_some(), size == 56);
-        }
-    }
 }
 
 #[test]

@@ -1,9 +1,7 @@
-//! Curves as files: the sample, whatever a drive may hold, and every mistake.
-
-use proptest::prelude::*;
+//! Curves as files: the sample, and every mistake. Any text, and whatever a drive may hold, are those of the fuzz target
+//! `files`.
 
 use super::*;
-use crate::curve::tests::any_curve;
 
 const SAMPLE: &str = include_str!("../../../files/linmot-curve.csv");
 
@@ -121,20 +119,4 @@ fn a_long_file_of_mistakes_is_a_short_list() {
         parse(&text, "c.csv").unwrap_err().to_string(),
         "c.csv:65541: row = 0,0: is one too many; a curve has at most 65535 setpoints"
     );
-}
-
-proptest! {
-    #[test]
-    fn any_curve_comes_back(curve in any_curve()) {
-        same(&curve);
-    }
-
-    #[test]
-    fn no_text_makes_it_panic(at in 0..SAMPLE.len(), cut in 0_usize..40, put in "[ -~\n\u{e9}]{0,12}") {
-        let mut text = SAMPLE.to_owned();
-        text.replace_range(at..(at + cut).min(SAMPLE.len()), &put);
-        if let Ok(curve) = parse(&text, "c.csv") {
-            same(&curve);
-        }
-    }
 }

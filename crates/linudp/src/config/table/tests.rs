@@ -1,12 +1,8 @@
-//! Tables as files: the sample, whatever a drive may hold, and every mistake.
-
-use proptest::prelude::*;
+//! Tables as files: what a drive holds beside its commands, and every mistake. Any text, and whatever a drive may hold, are
+//! those of the fuzz target `files`.
 
 use super::*;
 use crate::motion::{Bits, MotionCommand};
-use crate::table::ENTRY_SIZE;
-
-const SAMPLE: &str = include_str!("../../../files/linmot-table.toml");
 
 /// The keys of an entry (`;;` is a line end), and in the next line what is said about them.
 const MISTAKES: &str = include_str!("mistakes.txt");
@@ -82,49 +78,4 @@ fn every_mistake_says_where_it_is_and_what_would_be_right() {
         missing,
         "t.toml:1: entry: missing; a command table has an [[entry]] for each entry, or is entry = []"
     );
-}
-
-/// Entries as a drive may hold them: any bytes, more often than not with a command that has a name.
-fn any_table() -> impl Strategy<Value = table::Table> {
-    let bytes = prop::collection::vec(any::<u8>(), ENTRY_SIZE);
-    let entry = (bytes, any::<prop::sample::Index>(), 0..4).prop_map(|(mut bytes, index, sense)| {
-        bytes[..2].copy_from_slice(&[0x01, 0xA7]);
-        if sense > 0 {
-            let info = index.get(CATALOGUE);
-            bytes[4..6].copy_from_slice(&(info.id << 4).to_le_bytes());
-        }
-        if sense > 1 {
-            bytes[38..].fill(0);
-            bytes[38] = b'a' + bytes[6] % 26;
-        }
-        if sense > 2 {
-            bytes[2..4].fill(0xFF);
-        }
-        Entry::decode(&bytes).unwrap()
-    });
-    prop::collection::btree_map(1_u16..=255, entry, 0..12).prop_map(|entries| {
-        let mut table = table::Table::new();
-        for (at, entry) in entries {
-            table.insert(id(at), entry);
-        }
-        table
-    })
-}
-
-proptest! {
-    #[test]
-    fn any_table_comes_back_to_the_byte(table in any_table()) {
-        same(&table);
-    }
-
-    #[test]
-    fn no_text_makes_it_panic(at in 0..SAMPLE.len(), cut in 0_usize..40, put in "[ -~\n\u{e9}]{0,12}") {
-        let mut text = SAMPLE.to_owned();
-        if text.is_char_boundary(at) && text.is_char_boundary((at + cut).min(text.len())) {
-            text.replace_range(at..(at + cut).min(SAMPLE.len()), &put);
-            if let Ok(table) = parse(&text, "t.toml") {
-                same(&table);
-            }
-        }
-    }
 }
