@@ -320,38 +320,6 @@ impl LogReader {
 mod tests {
     use super::*;
 
-    fn taken(reader: &mut LogReader) -> Vec<u64> {
-        let mut words = Vec::new();
-        reader.take(&mut words);
-        words
-    }
-
-    #[test]
-    fn only_whole_cycles_are_taken_and_a_full_log_ends_with_the_last_one() {
-        let (recording, mut reader) = log(16, &mut Regions::default());
-        recording.cycle(0);
-        recording.nothing();
-        recording.entry(Kind::Value, &[7], &[1, 2, 3]);
-        assert!(taken(&mut reader).is_empty());
-        recording.publish();
-        let words = taken(&mut reader);
-        let head = Head { kind: Kind::Value, looks: 1, bytes: 11, after_ns: 0 };
-        assert_eq!(words[2..], [head.word(), 7, 0x03_02_01]);
-        recording.cycle(1);
-        recording.entry(Kind::Value, &[0; 9], &[]);
-        recording.publish();
-        recording.cycle(2);
-        // 14 words are in the ring: there is no room for three more.
-        recording.entry(Kind::Value, &[0; 2], &[]);
-        recording.publish();
-        assert_eq!(taken(&mut reader).len(), 12);
-        recording.cycle(3);
-        recording.publish();
-        assert_eq!((taken(&mut reader), reader.ended_at()), (vec![], Some(2)));
-        recording.end();
-        assert!(!reader.take(&mut Vec::new()));
-    }
-
     #[test]
     fn times_far_apart_and_many_looks_have_entries_of_their_own() {
         let (recording, mut reader) = log(64, &mut Regions::default());
@@ -359,7 +327,8 @@ mod tests {
         (0..5_000).for_each(|_| recording.nothing());
         recording.entry_at(Kind::Clock, Time((1 << 50) - 3), &[], &[]);
         recording.end();
-        let words = taken(&mut reader);
+        let mut words = Vec::new();
+        reader.take(&mut words);
         let kinds: Vec<_> = [0, 2, 3, 4, 5].map(|at| Head::of(words[at]).unwrap()).into();
         assert_eq!(
             kinds.iter().map(|head| (head.kind, head.looks, head.after_ns)).collect::<Vec<_>>(),
@@ -371,21 +340,5 @@ mod tests {
                 (Kind::Clock, 5_000 - 2 * MOST_LOOKS, -3),
             ]
         );
-    }
-
-    #[test]
-    fn an_idle_turn_is_taken_back() {
-        let (recording, mut reader) = log(64, &mut Regions::default());
-        recording.nothing();
-        let mark = recording.mark();
-        recording.entry_at(Kind::Clock, Time(5), &[], &[]);
-        let behind = recording.mark();
-        recording.nothing();
-        assert!(recording.is_at(behind));
-        recording.go_back(mark);
-        recording.entry_at(Kind::Clock, Time(9), &[], &[]);
-        recording.end();
-        let words = taken(&mut reader);
-        assert_eq!(words, [Head { kind: Kind::Clock, looks: 1, bytes: 0, after_ns: 9 }.word()]);
     }
 }
