@@ -80,25 +80,16 @@ fn wire(serial: u16) -> String {
     format!("{low:02X} {high:02X}")
 }
 
-/// The opening with this serial number.
-fn open(serial: u16) -> String {
-    let serial = wire(serial);
-    OPEN.replace("01 00 01 00 01 00 34 12", &format!("{serial} 01 00 {serial} 34 12"))
-}
-
-fn opened(serial: u16) -> String {
-    let serial = wire(serial);
-    OPENED.replace("01 00 01 00 01 00 34 12", &format!("{serial} 01 00 {serial} 34 12"))
-}
-
 /// A refusal of the opening with this serial number.
 fn refused(serial: u16, status: &str) -> String {
     format!("D4 00 {status} {} 34 12 EE FF C0 00 00 00", wire(serial))
 }
 
-/// The close of the connection with this serial number, or its answer.
-fn of(serial: u16, text: &str) -> String {
-    text.replace("01 00 34 12", &format!("{} 34 12", wire(serial)))
+/// The message with this serial number, which an opening and its answer have in an id, too.
+fn of(serial: u16, message: &str) -> String {
+    let serial = wire(serial);
+    let both = format!("{serial} 01 00 {serial} 34 12");
+    message.replace("01 00 01 00 01 00 34 12", &both).replace("01 00 34 12", &format!("{serial} 34 12"))
 }
 
 /// A session with a scripted drive, and the loop's end.

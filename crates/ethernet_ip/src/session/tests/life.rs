@@ -49,7 +49,7 @@ fn the_end_of_tcp_is_not_that_of_the_connection() {
     // It was not there.
     bench.trade(CLOSE, "CE 00 01 01 07 01 01 00 34 12 EE FF C0 00 00 00");
     bench.pass(S + LOOK_NS);
-    bench.request(&open(2));
+    bench.request(&of(2, OPEN));
 }
 
 #[test]
@@ -68,7 +68,7 @@ fn a_connection_that_has_timed_out_is_closed_and_opened_anew_after_a_pause() {
     bench.pass(S - 2 * LOOK_NS);
     bench.silence();
     bench.pass(2 * LOOK_NS);
-    bench.trade(&open(2), &opened(2));
+    bench.trade(&of(2, OPEN), &of(2, OPENED));
     let expected = Connection { generation: 2, incoming: 0x0001_0002, ..connection() };
     assert_eq!((bench.news(), bench.note()), (vec![News::Opened(expected)], String::new()));
     // Without TCP the next session closes it.
@@ -79,7 +79,7 @@ fn a_connection_that_has_timed_out_is_closed_and_opened_anew_after_a_pause() {
     bench.pass(10 * S);
     bench.register(SECOND);
     bench.trade(CLOSE, CLOSED);
-    bench.request(&open(2));
+    bench.request(&of(2, OPEN));
 }
 
 #[test]
@@ -141,5 +141,5 @@ fn news_wait_for_a_loop_that_does_not_take_them() {
         bench.pass(LOOK_NS);
     }
     assert_eq!(all.iter().filter(|news| **news == News::Closed { generation: 1 }).count(), 1);
-    bench.request(&open(2));
+    bench.request(&of(2, OPEN));
 }
