@@ -189,20 +189,4 @@ mod tests {
         assert_eq!(StatusWord(0xFFFF).names().count(), 15);
         assert_eq!(ControlWord(0xFFFF).names().count(), 13);
     }
-
-    #[test]
-    fn bits_are_set_and_cleared_alone() {
-        let word = ControlWord::ENABLED.with(ControlWord::RUN_FORWARD);
-        assert_eq!(word, ControlWord::FORWARD);
-        assert_eq!(word.without(ControlWord::ANY_RUN), ControlWord::ENABLED);
-        assert!(word.has_any(ControlWord::ANY_RUN) && !ControlWord::ENABLED.has_any(ControlWord::ANY_RUN));
-        assert!(!word.has(ControlWord::RUN_FORWARD | ControlWord::RUN_REVERSE));
-    }
-
-    #[test]
-    fn ok_is_positive_logic() {
-        assert!(!StatusWord(0).healthy());
-        let running = StatusWord(StatusWord::HEALTHY | StatusWord::ACTIVE | StatusWord::AT_SPEED);
-        assert!(running.healthy() && running.active() && running.at_speed() && !running.zero_speed());
-    }
 }

@@ -369,17 +369,6 @@ mod tests {
     }
 
     #[test]
-    fn a_helper_leaves_the_core_of_the_loop() {
-        on_a_thread(|| {
-            let all = cores();
-            let of_loop = default_core().unwrap();
-            helper_thread(Some(of_loop));
-            assert_eq!(cores(), all[..(all.len() - 1).max(1)]);
-            assert_eq!(scheduling(), ("SCHED_OTHER", 0));
-        });
-    }
-
-    #[test]
     fn an_ordinary_user_is_refused_or_told_what_is_missing() {
         in_own_process("rt::thread::tests::an_ordinary_user_is_refused_or_told_what_is_missing", || {
             assert!(limit_rtprio(0) && limit_memlock(64 << 10));

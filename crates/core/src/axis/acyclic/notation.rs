@@ -659,30 +659,10 @@ mod tests {
     }
 
     #[test]
-    fn several_values_go_in_their_order_the_highest_byte_first() {
-        let written = drive(&[(0, 0), (0, 0), (0, 12)], None);
-        assert_eq!(of(&written, &Blocks).write_several("7", &[0x0102_0304, 5, 6]), Ok(()));
-        let call = |service, value| Call { service, address: 7, value };
-        let calls =
-            [call(long::LOAD, 0x0500_0000_0403_0201), call(long::LOAD, 0x0600_0000), call(long::STORE, 12)];
-        assert_eq!(*written.received.borrow(), calls);
-        let read = drive(&[(0, 0x0500_0000_0403_0201), (0, 0x0600_0000)], None);
-        let values = of(&read, &Blocks).read_several("7", 3).unwrap();
-        assert_eq!(values, [("7", 0x0102_0304), ("8", 5), ("9", 6)].map(|(a, raw)| (a.to_owned(), raw)));
-        assert_eq!(*read.received.borrow(), [call(long::READ_SEVERAL, 3), call(long::PART, 8)]);
-    }
-
-    #[test]
     fn of_several_values_the_one_that_is_refused_is_named() {
         let said = |drive: &Drive| of(drive, &Blocks).write_several("7", &[1, 2, 3]).unwrap_err().to_string();
         let short = |bytes| drive(&[(0, 0), (0, 0), (256, bytes)], None);
-        assert_eq!(said(&short(0)), "drive x: write 7 = 1: status 256");
-        assert_eq!(said(&short(8)), "drive x: write 9 = 3: status 256; those before it were written");
         assert_eq!(said(&short(11)), "drive x: write 9 = 3: status 256; those before it were written");
-        let guarded = said(&drive(&[], Some(CallError::CommandsAt(1))));
-        assert!(guarded.starts_with("drive x: write 8 = 2: it may command the drive"), "{guarded}");
-        let all = said(&drive(&[], Some(CallError::Refused(2))));
-        assert_eq!(all, "drive x: write 7 ... 9 = 1, 2, 3: status 2");
         let open = said(&drive(&[], Some(CallError::TimedOut)));
         assert!(open.ends_with("may have been written"), "{open}");
         // Nothing is sent of what cannot be.

@@ -85,89 +85,6 @@ fn pkw_takes_the_answer_to_its_own_code_only_and_errors_by_direction() {
     assert_eq!(end, Err(CallError::Refused(super::super::super::target::UNREACHABLE)));
 }
 
-/// A drive by DRIVECOM: acts on each job whose handshake bit is another one, after so many exchanges.
-struct Drivecom {
-    job: [u8; 8],
-    answer: [u8; 8],
-    delay: u32,
-    left: u32,
-    /// 30 and 70 (false), or 00 and 40.
-    bare: bool,
-    value: [u8; 4],
-    error: bool,
-    writes: Vec<[u8; 8]>,
-}
-
-impl Drivecom {
-    fn new(value: [u8; 4]) -> Drivecom {
-        let (job, answer) = ([0; 8], [0; 8]);
-        Drivecom { job, answer, delay: 2, left: 0, bare: false, value, error: false, writes: Vec::new() }
-    }
-
-    fn exchange(&mut self, out: [u8; 8]) -> [u8; 8] {
-        if (out[0] ^ self.job[0]) & 0x40 != 0 && out[0] & 7 != 0 {
-            self.left = self.delay;
-            if out[0] & 7 == 2 {
-                self.writes.push(out);
-            }
-        }
-        if out[0] & 7 == 0 {
-            (self.job, self.answer) = (out, [out[0] & 0x40, 0, 0, 0, 0, 0, 0, 0]);
-            return self.answer;
-        }
-        self.job = out;
-        if self.left > 0 {
-            self.left -= 1;
-            return self.answer;
-        }
-        let style = if self.bare { 0 } else { 0x30 };
-        let error = if self.error { 0x80 } else { 0 };
-        self.answer = [out[0] & 0x40 | style | error, out[1], out[2], out[3], 0, 0, 0, 0];
-        self.answer[4..].copy_from_slice(&self.value);
-        self.answer
-    }
-}
-
-#[test]
-fn drivecom_reads_as_the_reply_says_and_writes_whatever_it_says() {
-    for bare in [false, true] {
-        let mut side = Side::new(ParameterPath::Drivecom);
-        let mut drive = Drivecom { bare, ..Drivecom::new([0, 0x06, 0x8F, 0xB0]) };
-        for _ in 0..3 {
-            let mut jobs = Vec::new();
-            let mut ticket = side.read(C0061);
-            let end = side.by_channel(&mut ticket, |out| {
-                jobs.push(out);
-                Some(drive.exchange(out))
-            });
-            assert_eq!(end, Ok(430_000));
-            assert!(jobs.iter().any(|job| job[0] & 0xBF == 0x31 && job[1..] == [0, 0x5F, 0xC2, 0, 0, 0, 0]));
-        }
-        // The length of the reply to a read is obeyed, if there is one; that to a write means nothing.
-        let (read, write) = ([0, 0x06, 0x8F, 0xB0], [0; 4]);
-        let or = |raw, refused| if bare { Ok(raw) } else { Err(CallError::Refused(refused)) };
-        for (service, address, raw, value, expected) in [
-            (READ, code(61, 0, Kind::U8), 0, read, or(0, 0x5000_0543)),
-            (READ, code(61, 0, Kind::U16), 6, read, or(6, 0x5000_0643)),
-            (READ, code(61, 0, Kind::I32), 0x0006_8FB0, read, Ok(0x0006_8FB0)),
-            (WRITE, code(39, 0, Kind::Own), 1_504_000, write, Ok(1_504_000)),
-            (WRITE, code(39, 2, Kind::U16), 0xFFFE, write, Ok(0xFFFE)),
-        ] {
-            drive.value = value;
-            let mut ticket = side.post(service, address, raw);
-            let end = side.by_channel(&mut ticket, |out| Some(drive.exchange(out)));
-            assert_eq!(end, expected, "{address:X}");
-        }
-        assert_eq!(drive.writes.iter().map(|job| job[0] & 0xBF).collect::<Vec<_>>(), [0x32, 0x12]);
-        assert_eq!(drive.writes[0][1..], [0, 0x5F, 0xD8, 0, 0x16, 0xF3, 0]);
-        assert_eq!(drive.writes[1][1..], [2, 0x5F, 0xD8, 0xFF, 0xFE, 0, 0]);
-        (drive.error, drive.value) = (true, [6, 7, 0, 0]);
-        let mut ticket = side.read(C0061);
-        let end = side.by_channel(&mut ticket, |out| Some(drive.exchange(out)));
-        assert_eq!(end, Err(CallError::Refused(0x0607_0000)));
-    }
-}
-
 /// Replies of the 9400 manual and of the EMF2133IB: what the call says of the value behind it.
 #[test]
 fn drivecom_answers_say_what_the_value_is() {
@@ -268,24 +185,6 @@ fn a_write_whose_answer_is_lost_is_uncertain_and_never_written_again() {
         assert_eq!(side.turn(), Sent::Exchange([0; 8]));
         side.access.channel_answered(&[0; 8]);
         assert!(matches!(side.turn(), Sent::Exchange(job) if job[7] == 5));
-    }
-}
-
-#[test]
-fn what_commands_is_refused_while_power_is_on_until_it_has_left() {
-    for path in [PKW, ParameterPath::Drivecom, MSAC1] {
-        let mut side = Side::new(path);
-        // Posted before power came on, and not sent.
-        let mut ticket = side.write(C0039_2, 1);
-        let mut harmless = side.write(code(12, 0, Kind::Own), 5_000);
-        side.access.advance(side.now, Link::Online, true, false);
-        side.guarded = true;
-        side.access.advance(side.now, Link::Online, true, true);
-        assert_eq!(ticket.poll(), Some(Err(CallError::Commands)), "{path:?}");
-        assert!(!side.access.commands());
-        side.turn();
-        assert!(side.application.post(Call { service: WRITE, address: C0039_2, value: 1 }, LIMIT).is_err());
-        assert_eq!(harmless.poll(), None, "it is under way");
     }
 }
 

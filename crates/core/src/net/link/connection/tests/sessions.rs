@@ -141,17 +141,6 @@ fn each_end_is_reported_once_with_its_reason_and_opened_again_after_a_pause() {
     assert_about(pause(&connection, now), 100 * MS);
 }
 
-#[test]
-fn a_session_that_is_not_established_in_time_is_closed() {
-    let (mut connection, toy, notes) = session();
-    toy.with(|log| log.next = Some(HandshakeState::More));
-    let now = open(&mut connection);
-    assert_eq!(connection.next_due(), Some(now + 2 * S));
-    assert_eq!(connection.poll(now + 2 * S), Action::Close);
-    assert!(notes.get(0).unwrap().contains("does not answer within 2 s"), "{:?}", notes.get(0));
-    assert_eq!(toy.with(|log| (log.opened, log.closed.len())), (1, 1));
-}
-
 proptest! {
     #[test]
     fn whatever_happens_there_is_one_socket_one_owner_and_an_end_to_every_wait(
