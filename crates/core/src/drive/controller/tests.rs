@@ -244,29 +244,27 @@ impl Alone {
 
 #[test]
 fn an_enable_that_failed_may_bring_power_on_until_four_clean_reports_without_it() {
+    let off = State::ReadyToSwitchOn;
     let mut x = Alone::new(plan()).online();
     assert!(!x.controller.is_guarded());
     x.begin(Command::Enable);
     assert!(x.controller.is_guarded());
-    x.ends(Err(Failure::TimedOut(State::ReadyToSwitchOn)));
     // The report of the cycle in which it failed came while it ran.
-    x.turns(3);
-    assert!(x.controller.is_guarded());
-    x.slot.status.suspect = true;
-    x.turns(9);
-    assert!(x.controller.is_guarded(), "a report that may be an old one shows nothing");
-    (x.slot.status.suspect, x.slot.status.state) = (false, State::SwitchedOn);
-    x.turns(9);
-    x.slot.status.state = State::ReadyToSwitchOn;
-    x.slot.status.suspect = true;
-    x.turn();
-    assert!(x.controller.is_guarded(), "nor does one with power");
-    x.slot.status.suspect = false;
-    x.turn();
-    assert!(!x.controller.is_guarded());
+    x.ends(Err(Failure::TimedOut(off)));
+    for (what, reports, suspect, state, guarded) in [
+        ("three are not enough", 3, false, off, true),
+        ("one that may be an old one shows nothing", 9, true, off, true),
+        ("nor does one with power", 9, false, State::SwitchedOn, true),
+        ("the first one without it", 1, true, off, true),
+        ("the fourth clean one", 1, false, off, false),
+    ] {
+        (x.slot.status.suspect, x.slot.status.state) = (suspect, state);
+        x.turns(reports);
+        assert_eq!(x.controller.is_guarded(), guarded, "{what}");
+    }
     // Nor does the end of another command.
     x.begin(Command::Enable);
-    x.ends(Err(Failure::TimedOut(State::ReadyToSwitchOn)));
+    x.ends(Err(Failure::TimedOut(off)));
     x.slot.status.suspect = true;
     x.begin(Command::ResetFault);
     x.ends(Ok(()));
@@ -696,18 +694,6 @@ fn a_reset_that_waits_for_a_stop_ends_when_the_link_is_lost() {
     assert_eq!(x.ended(), []);
     x.misses(5);
     assert_eq!(x.ended(), [(id, Outcome::Failed(Failure::NotOnline))]);
-}
-
-#[test]
-fn a_command_that_fails_by_a_fault_of_the_drive_stops_the_axis() {
-    for (failure, stop) in
-        [(Failure::DriveFault(7), Some(StopCause::DriveFault)), (Failure::NotArrived, None)]
-    {
-        let mut x = Alone::new(plan()).enabled();
-        x.begin(Command::Home);
-        x.ends(Err(failure));
-        assert_eq!(x.stopped(), stop, "{failure}");
-    }
 }
 
 #[test]

@@ -36,15 +36,21 @@ fn a_stop_of_the_application_is_as_steep_as_its_time_out_requires_and_never_weak
 }
 
 #[test]
-fn a_ramp_of_the_application_that_the_drive_refuses_becomes_its_quick_stop() {
-    for (command, quick) in [(Command::Stop { deceleration: None }, true), (Command::Home, false)] {
+fn a_refused_ramp_of_the_application_becomes_a_quick_stop_and_a_fault_of_the_drive_stops_the_axis() {
+    let (ramp, fault) = (Command::Stop { deceleration: None }, Failure::DriveFault(7));
+    for (command, failure, newest, stopped) in [
+        (ramp, Failure::NotTaken, Some(Command::QuickStop), None),
+        (Command::Home, Failure::NotTaken, Some(Command::Home), None),
+        (Command::Home, Failure::NotArrived, Some(Command::Home), None),
+        (Command::Home, fault, None, Some(StopCause::DriveFault)),
+    ] {
         let mut x = Alone::new(plan()).enabled();
         let id = x.begin(command);
         x.slot.status.velocity = 50.0;
-        x.ends(Err(Failure::NotTaken));
-        assert_eq!(x.ended(), [(id, Outcome::Failed(Failure::NotTaken))]);
-        assert_eq!(x.controller.newest() == Some(Command::QuickStop), quick, "{:?}", x.controller.newest());
-        assert_eq!(x.stopped(), None);
+        x.ends(Err(failure));
+        assert_eq!(x.ended(), [(id, Outcome::Failed(failure))]);
+        assert_eq!(x.stopped(), stopped, "{command:?} {failure}");
+        assert!(newest.is_none() || x.controller.newest() == newest, "{command:?} {failure}");
     }
 }
 
