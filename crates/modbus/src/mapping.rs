@@ -392,38 +392,4 @@ mod tests {
         assert_eq!(reads, [(0x040F, 1), (0x412D, 2), (0x01A3, 1), (0x03FB, 1), (0x4078, 2), (0x0281, 1)]);
         assert_eq!(mapping.hot(), 2);
     }
-
-    #[test]
-    fn parameters_side_by_side_are_one_block_until_it_is_full() {
-        let also = |count: u8| {
-            move |drive: &mut UnidriveDrive| {
-                drive.map.also = (0..count)
-                    .map(|index| Mapped { width: Width::Long, ..Mapped::new(Parameter::new(20, 1 + index)) })
-                    .collect();
-            }
-        };
-        let mapping = Mapping::new(&drive(also(60))).unwrap();
-        assert!(mapping.reads().iter().any(|block| block.registers == 120 && block.roles.len() == 60));
-        let fault = Mapping::new(&drive(also(61))).unwrap_err();
-        assert!(
-            fault.message.contains("122 registers from 20.001 on exceed the 120 of one request"),
-            "{fault:?}"
-        );
-    }
-
-    #[test]
-    fn what_cannot_be_exchanged_is_refused_with_its_key() {
-        let fault = |change: fn(&mut UnidriveDrive)| {
-            let PlanFault { key, message } = Mapping::new(&drive(change)).unwrap_err();
-            format!("{key}: {message}")
-        };
-        let missing = fault(|drive| drive.map.speed.parameter = Parameter::new(163, 1));
-        assert!(missing.starts_with("map.speed: 163.001 has no Modbus address"), "{missing}");
-        let twice = fault(|drive| drive.map.speed.parameter = Parameter::STATUS_WORD);
-        assert_eq!(twice, "map.speed: 10.040 is already map.status; name each parameter once");
-        let slot = fault(|drive| drive.map.trip = Some(Mapped::new(Parameter::new(15, 9).in_slot(4))));
-        assert!(slot.starts_with("map.trip: 4.15.009 is in an option slot"), "{slot}");
-        let place = fault(|drive| drive.via = Via::Menu0 { first: 76 });
-        assert!(place.starts_with("via: menu 0 has places 1 ... 80"), "{place}");
-    }
 }

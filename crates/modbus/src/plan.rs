@@ -274,6 +274,3 @@ impl UnidriveDrive {
         })
     }
 }
-
-#[cfg(test)]
-mod tests;

@@ -7,18 +7,7 @@ use fieldbeat::time::{MS, S, US};
 use fieldbeat::{CyclePlan, Plan};
 use fieldbeat_core::cycle::bound::stop_bound;
 
-use super::read;
-
-/// One drive with a fragment in the section of its bus or in its own. The fragment begins in line 6 or 10.
-pub fn wire(section: &str, fragment: &str) -> String {
-    let part = |name: &str| if name == section { fragment } else { "" };
-    format!(
-        "[cycle]\nperiod = \"4ms\"\n[[bus]]\nprotocol = \"profibus-dp\"\ndevice = \"/dev/ttyS1\"\n{}\n\
-         [[bus.drive]]\nname = \"l\"\naddress = 3\n{}\n[bus.defaults]\nlimits.velocity = 20\n",
-        part("bus"),
-        part(""),
-    )
-}
+use super::{machine, read};
 
 /// The plan of the only bus.
 fn plan(text: &str) -> ProfibusPlan {
@@ -29,18 +18,18 @@ fn plan(text: &str) -> ProfibusPlan {
 
 #[test]
 fn a_file_that_says_little_is_a_plan_built_in_code() {
-    let mut of_file = plan(&wire("", ""));
+    let mut of_file = plan(&machine("lenze", ""));
     assert_eq!(of_file.drives[0].axis.limits.velocity.take(), Some(20.0));
     let of_code = LenzeDrive::new("l", 3);
     assert_eq!(of_file.drives[0].axis.units.unit, Unit::Revolution);
     of_file.drives[0].axis = of_code.axis.clone();
     assert_eq!(of_file, ProfibusPlan::new("/dev/ttyS1", 1_500_000, vec![of_code]));
-    let of_bus = plan(&wire("bus", "rate = 3000000\nlatency = \"125us\"\nbits.slot = 500"));
+    let of_bus = plan(&machine("lenze-bus", "rate = 3000000\nlatency = \"125us\"\nbits.slot = 500"));
     assert_eq!(of_bus.slot_ns(), 500 * 1_000 / 3 + 1 + 125 * US);
-    let of_drive = plan(&wire("", "user_prm = [0x84, 1, 2]\nwatchdog = \"257ms\""));
+    let of_drive = plan(&machine("lenze", "user_prm = [0x84, 1, 2]\nwatchdog = \"257ms\""));
     assert_eq!(of_drive.drives[0].watchdog_ns(), Some(258 * MS), "two factors make 258, not 257");
     for rate in RATES {
-        let slow = wire("bus", &format!("rate = {rate}")).replace("\"4ms\"", "\"500ms\"");
+        let slow = machine("lenze-bus", &format!("rate = {rate}")).replace("\"4ms\"", "\"500ms\"");
         let of_file = plan(&slow.replace("velocity = 20", "velocity = 20\nwatchdog = \"5s\""));
         assert_eq!(of_file.bits, fieldbeat::bus::profibus::Bits::usual(rate), "{rate}");
     }

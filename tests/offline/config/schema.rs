@@ -6,7 +6,7 @@ use fieldbeat::config::parse;
 use fieldbeat_config::schema;
 use serde_json::Value;
 
-use super::any_machine;
+use super::machine;
 
 /// Where a key of the schema can be set: the section of a machine, and the path in messages.
 const PLACES: [(&str, &str, &str, &str); 14] = [
@@ -44,7 +44,7 @@ fn keys<'a>(table: &'a Value, before: &str, found: &mut BTreeMap<String, &'a Val
 
 /// What the reader says of `key = value` there; none if it takes it.
 fn said(section: &str, path: &str, key: &str, value: &str) -> Option<String> {
-    let mistakes = parse(&any_machine(section, &format!("{key} = {value}")), "m.toml").err()?;
+    let mistakes = parse(&machine(section, &format!("{key} = {value}")), "m.toml").err()?;
     let at = format!(": {path}.{key}");
     let lines = mistakes.to_string();
     lines.lines().find(|line| line.contains(&at)).map(str::to_owned)
@@ -177,7 +177,7 @@ fn defaults_are_those_of_the_reader() {
     let mut seen = 0;
     visit(|section, _, key, stated| {
         let Some(default) = stated.get("default").filter(|_| !KEPT.contains(&key)) else { return };
-        let read = |fragment: &str| parse(&any_machine(section, fragment), "m.toml");
+        let read = |fragment: &str| parse(&machine(section, fragment), "m.toml");
         match (read(&format!("{key} = {default}")), read("# nothing")) {
             (Ok(with), without) => {
                 seen += 1;
