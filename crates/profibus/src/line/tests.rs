@@ -324,30 +324,6 @@ fn what_the_driver_takes_in_pieces_goes_on_where_it_stopped() {
 }
 
 #[test]
-fn any_bytes_at_any_time_are_taken() {
-    let mut random = fastrand::Rng::with_seed(4);
-    let mut rig = Rig::up(|plan| plan.retries = 1);
-    for _ in 0..50_000 {
-        let bytes: Vec<u8> = match random.u8(..3) {
-            0 => (0..random.usize(..300)).map(|_| random.u8(..)).collect(),
-            1 => REPLY[random.usize(..21)..].to_vec(),
-            _ => Vec::new(),
-        };
-        let room = rig.line.room();
-        let count = bytes.len().min(room.len());
-        room[..count].copy_from_slice(&bytes[..count]);
-        rig.line.received(rig.now, count);
-        while rig.heard().is_some() {}
-        rig.now = rig.now + random.u64(..300 * US);
-        match rig.line.ready(rig.now) {
-            Ready::Free => rig.request(),
-            Ready::Resend | Ready::Claim => drop(rig.send()),
-            Ready::Wait | Ready::Overdue { .. } => {}
-        }
-    }
-}
-
-#[test]
 fn another_master_with_the_own_address_is_told_from_an_adapter_that_returns_what_is_sent() {
     let other = |sign| Some(Heard::Other(Other::Master { address: 2, sign }));
     // Before its first telegram, nothing of its own can come back.
