@@ -80,7 +80,6 @@ fn exception(code: u8, reply: &[u8]) -> Vec<u8> {
 
 #[test]
 fn a_busy_drive_gets_its_request_again_and_second_replies_are_dropped() {
-    type Change<'a> = &'a dyn Fn(usize, &[u8], Vec<u8>) -> Vec<u8>;
     for (via, piece) in [(Via::Direct, 1), (Via::Direct, 300), (Via::Menu0 { first: 1 }, 300)] {
         let (state, plain, requests) = shake(via, piece, &|_, _, reply| reply);
         assert_eq!((state, plain.duplicates, plain.busy), (HandshakeState::Done, 0, 0));
@@ -108,7 +107,6 @@ fn a_busy_drive_gets_its_request_again_and_second_replies_are_dropped() {
 
 #[test]
 fn a_drive_that_stays_busy_and_a_peer_that_answers_something_else_are_named() {
-    type Change<'a> = &'a dyn Fn(usize, &[u8], Vec<u8>) -> Vec<u8>;
     let refused = |code: u8| {
         move |n: usize, _: &[u8], reply: Vec<u8>| if n > 1 { exception(code, &reply) } else { reply }
     };
