@@ -315,8 +315,8 @@ impl AxisPlan {
         (self.load == Load::Vertical(HeldBy::Drive)).then(|| PlanFault::new("held_by", why()))
     }
 
-    /// Of these values, each by its key, with its range and what it is per: those outside of the range of the drive, with
-    /// the remedy. Its ends are shown as `shown` makes them.
+    /// Of these values, each by its key, with its range and what it is per: those outside of the range of the drive,
+    /// with the remedy. Its ends are shown as `shown` makes them.
     #[doc(hidden)]
     pub fn range_faults(
         &self,

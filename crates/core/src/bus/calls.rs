@@ -33,8 +33,8 @@ struct Series<const ROOM: usize> {
 }
 
 impl<const ROOM: usize> Calls<ROOM> {
-    /// The calls of this queue. `not_read`, `not_loaded`: the wire's statuses of a call for a part of what was not read,
-    /// and of one that hands over more than there is room for.
+    /// The calls of this queue. `not_read`, `not_loaded`: the wire's statuses of a call for a part of what was not
+    /// read, and of one that hands over more than there is room for.
     pub fn new(port: Port, not_read: u32, not_loaded: u32) -> Calls<ROOM> {
         let (read, loaded) = (Kept::default(), Kept::default());
         let series = Box::new(Series { read, loaded, not_read, not_loaded });
@@ -101,8 +101,8 @@ impl<const ROOM: usize> Calls<ROOM> {
         self.series.read = Kept::of_read(posted, size, bytes);
     }
 
-    /// Why a call that is under way since `begun` ends now, although the drive has not answered it. `is_sent`: the drive
-    /// may have received it. What has not reached a drive that is not `online` does not reach it later.
+    /// Why a call that is under way since `begun` ends now, although the drive has not answered it. `is_sent`: the
+    /// drive may have received it. What has not reached a drive that is not `online` does not reach it later.
     pub fn over(
         &self,
         posted: &Posted,

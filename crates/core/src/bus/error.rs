@@ -97,8 +97,8 @@ impl OpenError {
     pub fn bind(bus: &str, address: SocketAddrV4, source: std::io::Error) -> OpenError {
         let remedy = match source.kind() {
             ErrorKind::AddrInUse => {
-                "another master holds this port: end it (ss -ulpn shows which), or give this bus another bind \
-                 address"
+                "another master holds this port: end it (ss -ulpn shows which), or give this bus another \
+                 bind address"
             }
             ErrorKind::AddrNotAvailable => {
                 "this host has no such address: `ip -4 addr` lists those it has; put one of them into bind"

@@ -102,8 +102,8 @@ impl EthercatPlan {
 
     fn check_line(&self, period_ns: u64) -> Vec<PlanFault> {
         let mut found = Vec::new();
-        let why = "must be the name of a network interface, at most 15 characters like \"eth1\"; or \"local:NAME\" \
-                   for simulated drives on this computer";
+        let why = "must be the name of a network interface, at most 15 characters like \"eth1\"; or \
+                   \"local:NAME\" for simulated drives on this computer";
         found.wrong_if(!is_interface(&self.interface), "interface", why);
         let why = format!("must be above 0 and below the period of {}; half of it is usual", Ns(period_ns));
         let wrong = self.ahead_of_sync_ns.is_some_and(|ahead| ahead == 0 || ahead >= period_ns);
@@ -255,8 +255,8 @@ impl KollmorgenDrive {
         if let Some(start) = long.filter(|_| self.family == Family::S700) {
             found.wrong("start_up", too_long(start));
         }
-        let trips = "a drive whose watchdog trips, or that loses the cycle (F28), stops and then switches its power \
-                     off";
+        let trips = "a drive whose watchdog trips, or that loses the cycle (F28), stops and then switches its \
+                     power off";
         found.extend(self.axis.dropped_fault(trips));
         for Entry { object, .. } in self.show.iter().flatten().filter(|entry| entry.kind.is_string()) {
             found.wrong("monitor", format!("{object} is a text; monitor objects with numbers"));
@@ -296,8 +296,8 @@ impl KollmorgenDrive {
                 found.wrong("pdo.outputs", self.unowned(*entry, why));
             }
         }
-        let why = "has no setpoint; map one of 0x60C1:1 or 0x607A:0 (position), 0x606B:0 or 0x60FF:0 (velocity), \
-                   0x6074:0 or 0x6071:0 (torque)";
+        let why = "has no setpoint; map one of 0x60C1:1 or 0x607A:0 (position), 0x606B:0 or 0x60FF:0 \
+                   (velocity), 0x6074:0 or 0x6071:0 (torque)";
         found.wrong_if(self.targets().next().is_none() && !self.native, "pdo.outputs", why);
         if let Some((object, kind)) = self.setpoint().map(Setpoint::shape) {
             let why = format!("has a setpoint of another type; write {object}.{}", kind.name());
