@@ -97,8 +97,7 @@ fn online_at(machine: &Machine, period: &str, memory: &str) -> Option<(PathBuf, 
     if until(LONG / 4, || master.err().contains("all drives online")) {
         return Some((config, sim, master));
     }
-    master.signal(libc::SIGINT);
-    let ended = master.end();
+    let ended = master.end_by(libc::SIGINT);
     println!("not online at {period}: {}{}", ended.err, ended.out);
     None
 }
@@ -120,8 +119,7 @@ fn the_loop_is_real_time_and_does_not_fault_in_a_hundred_thousand_cycles() {
             sleep(Duration::from_millis(250));
             executed() >= 100_000
         }));
-        master.signal(libc::SIGINT);
-        let ended = master.end();
+        let ended = master.end_by(libc::SIGINT);
         ended.expect(0);
         let summary = ended.json();
         assert_sums(&summary);
@@ -268,8 +266,7 @@ fn a_cable_that_was_pulled_and_put_back_brings_all_drives_back() {
     cable.plug("up");
     master.await_text("drive d0: back online");
     master.await_text("drive d1: back online");
-    master.signal(libc::SIGINT);
-    let ended = master.end();
+    let ended = master.end_by(libc::SIGINT);
     ended.expect(1);
     let summary = ended.json();
     assert_sums(&summary);

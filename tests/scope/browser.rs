@@ -81,8 +81,7 @@ impl Running {
         self.scope.signal(SIGINT);
         self.scope.end().expect(0);
         let master = self.master.unwrap();
-        master.signal(SIGINT);
-        let ended = master.end();
+        let ended = master.end_by(SIGINT);
         assert!(ended.out.contains("; 0 telemetry records and 0 events lost"), "{}", ended.out);
     }
 }
@@ -172,7 +171,6 @@ fn the_page_draws_triggers_measures_and_attaches_again() {
     running.end();
 }
 
-/// What is seen, as a table, and as the library of MCAP reads it.
 #[test]
 #[ignore = "needs chromium, node, playwright-core and the Python library mcap"]
 fn what_is_seen_is_exported_to_csv_and_to_mcap() {

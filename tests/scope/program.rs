@@ -36,15 +36,13 @@ fn a_scope_waits_for_its_master_attaches_and_attaches_again() {
         let axes = socket.text("axes");
         assert_eq!(axes.as_array().unwrap().len(), 2);
         assert!(axes[0]["state"].is_string(), "{axes}");
-        master.signal(SIGINT);
-        let ended = master.end();
+        let ended = master.end_by(SIGINT);
         assert!(ended.code.is_some(), "{ended:?}");
         let why = socket.text("waiting");
         assert!(why.as_str().unwrap().contains("master"), "{why}");
     }
     assert_ne!(pids[0], pids[1]);
-    scope.signal(SIGINT);
-    scope.end().expect(0);
+    scope.end_by(SIGINT).expect(0);
 }
 
 #[test]
@@ -60,8 +58,7 @@ fn a_master_serves_its_own_page() {
     assert!(!socket.cycles().is_empty());
     assert_eq!(get(address, "/", ""), 200);
     master.await_text("all drives online");
-    master.signal(SIGINT);
-    let ended = master.end();
+    let ended = master.end_by(SIGINT);
     ended.expect(0);
     assert_eq!(ended.json()["realtime"]["telemetry_lost"], 0);
 }
@@ -93,8 +90,7 @@ fn whoever_lets_others_move_the_machine_is_warned() {
         let mut scope = Program::start(["scope", config, "--listen", "0.0.0.0:0"].iter().chain(control));
         scope.await_text(warning);
         assert!(scope.out().contains("/#token="), "{}", scope.out());
-        scope.signal(SIGINT);
-        scope.end().expect(0);
+        scope.end_by(SIGINT).expect(0);
     }
     let mut scope = Program::start(["scope", config, "--listen", "0", "--control"]);
     let _ = address(&mut scope);

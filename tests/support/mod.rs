@@ -58,6 +58,11 @@ pub fn skipping(bus: impl BusPlan + 'static, cycle: CyclePlan) -> Plan {
     Plan { source: None, cycle, buses: vec![Box::new(bus)], groups: Vec::new() }
 }
 
+/// 500 cycles a second of an ordinary thread, in which replies have their time.
+pub fn ordinary_cycle() -> CyclePlan {
+    CyclePlan { period_ns: 2 * MS, receive_deadline: 0.8, realtime: Realtime::Off, ..CyclePlan::default() }
+}
+
 /// Lines of `[cycle]`: however much of the cycles this host takes, the run is not judged by it.
 pub const UNJUDGED: &str = "max_late_share = 1.0\nmax_skipped_share = 1.0\nmax_unanswered_share = 1.0\n";
 
@@ -421,6 +426,12 @@ impl Program {
         self.end_within(LONG)
     }
 
+    /// Its end, by this signal.
+    pub fn end_by(self, signal: i32) -> Ended {
+        self.signal(signal);
+        self.end()
+    }
+
     /// kill -9, and waits until it is gone.
     pub fn kill(mut self) {
         self.child.kill().unwrap();
@@ -576,48 +587,46 @@ impl Cable {
         let cable = Cable { master: format!("fb{id}-{test}-m"), drives: format!("fb{id}-{test}-d") };
         let [a, b, c] = CABLE_NET;
         for name in [&cable.master, &cable.drives] {
-            command(&["ip", "netns", "add", name]);
-            command(&["ip", "-n", name, "link", "set", "lo", "up"]);
+            ip(&format!("netns add {name}"));
+            ip(&format!("-n {name} link set lo up"));
         }
         let Cable { master, drives } = &cable;
-        command(&[
-            "ip", "-n", master, "link", "add", "wire", "type", "veth", "peer", "name", "wire", "netns",
-            drives,
-        ]);
-        command(&["ip", "-n", master, "address", "add", &format!("{a}.{b}.{c}.1/24"), "dev", "wire"]);
+        ip(&format!("-n {master} link add wire type veth peer name wire netns {drives}"));
+        ip(&format!("-n {master} address add {a}.{b}.{c}.1/24 dev wire"));
         for host in hosts {
-            command(&[
-                "ip",
-                "-n",
-                drives,
-                "address",
-                "add",
-                &format!("{a}.{b}.{c}.{host}/24"),
-                "dev",
-                "wire",
-            ]);
+            ip(&format!("-n {drives} address add {a}.{b}.{c}.{host}/24 dev wire"));
         }
         cable.plug("up");
-        command(&["ip", "-n", master, "link", "set", "wire", "up"]);
+        ip(&format!("-n {master} link set wire up"));
         cable
     }
 
     /// `up` or `down`: the drives' end of the cable.
     pub fn plug(&self, state: &str) {
-        command(&["ip", "-n", &self.drives, "link", "set", "wire", state]);
+        ip(&format!("-n {} link set wire {state}", self.drives));
     }
 
     /// `add` or `del`: the address of the drive with this host number, at the drives' end. A master that knew it has to
     /// ask for it anew.
     pub fn address(&self, action: &str, machine: &Machine, host: u8) {
-        let address = machine.ip(host).to_string();
-        command(&["ip", "-n", &self.drives, "address", action, &format!("{address}/24"), "dev", "wire"]);
-        command(&["ip", "-n", &self.master, "neighbour", "flush", "to", &address, "dev", "wire"]);
+        let address = machine.ip(host);
+        ip(&format!("-n {} address {action} {address}/24 dev wire", self.drives));
+        ip(&format!("-n {} neighbour flush to {address} dev wire", self.master));
     }
 
-    /// What `open` opens at the drives' end: a thread may live in another namespace, and its sockets stay there.
+    /// What `open` opens at the drives' end.
     pub fn among_drives<T: Send>(&self, open: impl FnOnce() -> T + Send) -> T {
-        let namespace = std::fs::File::open(Path::new("/run/netns").join(&self.drives)).unwrap();
+        Cable::inside(&self.drives, open)
+    }
+
+    /// The same at the master's end.
+    pub fn at_master<T: Send>(&self, open: impl FnOnce() -> T + Send) -> T {
+        Cable::inside(&self.master, open)
+    }
+
+    /// A thread may live in another namespace, and its sockets stay there.
+    fn inside<T: Send>(namespace: &str, open: impl FnOnce() -> T + Send) -> T {
+        let namespace = std::fs::File::open(Path::new("/run/netns").join(namespace)).unwrap();
         std::thread::scope(|scope| {
             let inside = scope.spawn(|| {
                 nix::sched::setns(namespace, nix::sched::CloneFlags::CLONE_NEWNET).unwrap();
@@ -649,6 +658,11 @@ impl Drop for Cable {
             let _ = Command::new("ip").args(["netns", "delete", name]).stderr(Stdio::null()).status();
         }
     }
+}
+
+/// `ip WORDS`.
+fn ip(words: &str) {
+    command(&[&["ip"], &words.split(' ').collect::<Vec<_>>()[..]].concat());
 }
 
 /// Runs a tool that has to succeed.
