@@ -1,9 +1,10 @@
 //! Captures by tshark.
 
+use std::net::UdpSocket;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use crate::support::{Cable, LONG, Program, until};
+use crate::support::{Cable, LONG, Machine, Program, until};
 
 /// A running capture.
 pub struct Capture<M> {
@@ -51,6 +52,16 @@ impl<M: Fn(&str)> Capture<M> {
         assert!(!ended.err.contains("dropped"), "{}", ended.err);
         self.file
     }
+}
+
+/// All that goes to and fro in the network of this machine, on loopback.
+pub fn on_loopback(machine: &Machine) -> Capture<impl Fn(&str) + use<>> {
+    let [own, to] = [240, 241].map(|host| machine.ip(host));
+    let socket = UdpSocket::bind((own, 0)).unwrap();
+    let filter = format!("net {}/24", machine.ip(0));
+    Capture::start(None, "lo", &filter, machine.path("lo.pcapng"), move |text| {
+        let _ = socket.send_to(text.as_bytes(), (to, 9));
+    })
 }
 
 /// What the dissectors make of `file`: these fields of each frame that `filter` passes, a line each, with `|` between

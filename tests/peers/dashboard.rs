@@ -4,7 +4,7 @@
 use std::collections::BTreeSet;
 use std::io::{Read, Write};
 use std::net::{SocketAddrV4, TcpStream};
-use std::process::{Child, Command, Stdio};
+use std::process::Command;
 use std::time::Duration;
 
 use libc::{SIGCONT, SIGINT};
@@ -69,16 +69,6 @@ fn the_dashboard_has_the_structure_that_grafana_reads() {
     }
 }
 
-/// A server that ends with this.
-struct Server(Child);
-
-impl Drop for Server {
-    fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
-}
-
 /// What `GET path` is answered with, by a local server.
 fn get(server: SocketAddrV4, path: &str) -> Option<Value> {
     let mut stream = TcpStream::connect(server).ok()?;
@@ -107,17 +97,8 @@ fn prometheus_answers_every_query_of_the_dashboard() {
     let machine = Machine::new(91);
     // Of this machine alone: nobody else takes a port there meanwhile.
     let [metrics, prometheus] = [19_464, 19_090].map(|port| SocketAddrV4::new(machine.ip(1), port));
-    let mut demo = Program::start([
-        "demo",
-        "--for",
-        "10min",
-        "--drives",
-        "2",
-        "--period",
-        "16ms",
-        "--metrics",
-        &metrics.to_string(),
-    ]);
+    let words = format!("demo --for 10min --drives 2 --period 16ms --metrics {metrics}");
+    let mut demo = Program::start(words.split(' '));
     demo.await_text("all drives online");
     let config = machine.write(
         "prometheus.yml",
@@ -127,15 +108,12 @@ fn prometheus_answers_every_query_of_the_dashboard() {
             checkout("rt-config/grafana/alerts.yml").display()
         ),
     );
-    let server = Command::new("prometheus")
-        .arg(format!("--config.file={}", config.display()))
-        .arg(format!("--storage.tsdb.path={}", machine.path("data").display()))
-        .arg(format!("--web.listen-address={prometheus}"))
-        .stdout(Stdio::null())
-        .stderr(Stdio::null())
-        .spawn()
-        .unwrap_or_else(|error| panic!("prometheus: {error}; .ci/run installs it"));
-    let _server = Server(server);
+    let _server = Program::spawn(
+        Command::new("prometheus")
+            .arg(format!("--config.file={}", config.display()))
+            .arg(format!("--storage.tsdb.path={}", machine.path("data").display()))
+            .arg(format!("--web.listen-address={prometheus}")),
+    );
     // As Grafana fills them in, with an interval of several scrapes.
     let filled = |expression: &str| {
         let all = [("$instance", ".*"), ("$drive", ".*"), ("$__rate_interval", "20s")];
@@ -184,6 +162,5 @@ fn prometheus_answers_every_query_of_the_dashboard() {
     let rules = rules["data"]["groups"][0]["rules"].as_array().unwrap().clone();
     assert_eq!(rules.len(), 5, "{rules:?}");
     assert!(rules.iter().all(|rule| rule["health"] != "err"), "{rules:?}");
-    demo.signal(SIGINT);
-    demo.end();
+    demo.end_by(SIGINT);
 }

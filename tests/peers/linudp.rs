@@ -12,7 +12,7 @@ use std::process::Command;
 
 use serde_json::Value;
 
-use crate::capture::{Capture, dissect};
+use crate::capture::{Capture, dissect, on_loopback};
 use crate::support::{self, CABLE_NET, Cable, LONG, Machine, PROGRAM, Program, assert_sums, drive, until};
 
 /// One datagram, as the dissector has it.
@@ -43,7 +43,7 @@ fn frames(capture: Capture<impl Fn(&str)>, check_udp: bool) -> Vec<Frame> {
     let sums = format!("udp.check_checksum:{check_udp}");
     // Its guesses at the payload are not what is asked for.
     let options = ["-o", "ip.check_checksum:TRUE", "-o", &sums, "-d", "udp.port==41136,data"];
-    let lines = dissect(&capture.end(), "udp.dstport != 9 && !icmp", &options, &fields);
+    let lines = dissect(&capture.end(), "udp && udp.dstport != 9 && !icmp", &options, &fields);
     lines.iter().map(|line| frame(line, check_udp)).collect()
 }
 
@@ -170,8 +170,7 @@ fn master_and_drives(config: &Path, start: impl Fn(&str) -> Command) -> Value {
     sim.await_text("listening");
     let ended = Program::spawn(start("run").arg(config).args(["--for", "2s", "--json"])).end();
     ended.expect(0);
-    sim.signal(libc::SIGINT);
-    sim.end().expect(0);
+    sim.end_by(libc::SIGINT).expect(0);
     ended.json()
 }
 
@@ -180,11 +179,7 @@ fn master_and_drives(config: &Path, start: impl Fn(&str) -> Command) -> Value {
 fn tshark_finds_nothing_wrong_on_loopback() {
     let machine = Machine::new(1);
     let config = self::machine(&machine);
-    let socket = UdpSocket::bind((machine.ip(240), 0)).unwrap();
-    let filter = format!("udp and net {}/24", machine.ip(0));
-    let capture = Capture::start(None, "lo", &filter, machine.path("lo.pcapng"), |text| {
-        let _ = socket.send_to(text.as_bytes(), (machine.ip(241), 9));
-    });
+    let capture = on_loopback(&machine);
     let summary = master_and_drives(&config, |command| {
         let mut program = Command::new(PROGRAM);
         program.arg(command);
@@ -227,12 +222,8 @@ fn tshark_finds_nothing_wrong_with_drives_in_motion() {
     // The addresses of the first demo of this computer.
     let free = || UdpSocket::bind("127.77.0.1:41136").is_ok();
     assert!(until(LONG, free), "a demo runs on this computer: end it (ss -ulpn shows which)");
-    let machine = Machine::new(3);
-    let socket = UdpSocket::bind("127.77.0.240:0").unwrap();
-    let capture =
-        Capture::start(None, "lo", "udp and net 127.77.0.0/24", machine.path("lo.pcapng"), |text| {
-            let _ = socket.send_to(text.as_bytes(), "127.77.0.241:9");
-        });
+    let machine = Machine::new(3).on([127, 77, 0]);
+    let capture = on_loopback(&machine);
     let ended = Program::start(["demo", "--for", "15s", "--drives", "2", "--json"]).end();
     let summary = ended.json();
     let seen = judge(&frames(capture, false), "127.77.0.1:41136".parse().unwrap());

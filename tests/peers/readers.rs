@@ -102,8 +102,7 @@ fn the_parsers_of_prometheus_read_the_metrics() {
     };
     assert!(until(LONG, || page("*/*").contains("drive-timer")), "{}", page("*/*"));
     let (strict, plain) = (page("application/openmetrics-text"), page("text/plain"));
-    program.signal(SIGINT);
-    program.end().expect(0);
+    program.end_by(SIGINT).expect(0);
     // The strict one of OpenMetrics, and that of the older format, which many agents still speak.
     let script = "import sys\nfrom prometheus_client.openmetrics import parser as strict\nfrom \
          prometheus_client import parser as old\npage, plain = sys.stdin.read().split('# BEHIND\\n')\nfor \

@@ -8,7 +8,7 @@ use fieldbeat::time::MS;
 use fieldbeat::{CyclePlan, Master};
 
 use super::scan::scan;
-use super::{WIRE, at_master, cable, segment, serve, soem};
+use super::{WIRE, cable, segment, serve, soem};
 use crate::peer::package;
 use crate::support::{Cable, LONG, Machine, Program, skipping, until};
 
@@ -62,7 +62,7 @@ fn is_taken_over(test: u8, state: Option<&str>, peer: impl Fn(&str) -> Command) 
 fn take_over(test: u8, state: Option<&str>, peer: &impl Fn(&str) -> Command) -> (u64, u64) {
     let (_machine, cable) = (Machine::new(test), cable(test));
     let segment = || segment(Family::S700, 2, false);
-    let online = || at_master(&cable, || cycles_to_online(segment().plan));
+    let online = || cable.at_master(|| cycles_to_online(segment().plan));
     let left = serve(&cable, segment());
     let mut holding = Program::spawn(&mut peer(&cable.master));
     holding.await_text("holding");
@@ -94,26 +94,16 @@ fn ethercrab(what: &str) -> impl Fn(&str) -> Command {
 
 #[test]
 #[ignore = "needs root, iproute2 and a package registry: builds the crate ethercrab"]
-fn a_segment_that_ethercrab_left_in_op_is_taken_over() {
+fn a_segment_that_ethercrab_left_in_op_or_turning_without_a_watchdog_is_taken_over() {
     is_taken_over(50, Some("SAFEOP"), ethercrab("hold"));
     is_taken_over(50, None, ethercrab("hold"));
-}
-
-#[test]
-#[ignore = "needs root, iproute2 and a package registry: builds the crate ethercrab"]
-fn a_segment_that_ethercrab_left_turning_without_a_watchdog_is_taken_over() {
     is_taken_over(52, Some("OP"), ethercrab("hold-unwatched"));
 }
 
 #[test]
 #[ignore = "needs root, iproute2, python3 and pysoem"]
-fn a_segment_that_soem_left_in_op_is_taken_over() {
+fn a_segment_that_soem_left_in_op_or_turning_without_a_watchdog_is_taken_over() {
     is_taken_over(51, Some("SAFEOP"), |namespace| soem::program(namespace, "hold"));
     is_taken_over(51, None, |namespace| soem::program(namespace, "hold"));
-}
-
-#[test]
-#[ignore = "needs root, iproute2, python3 and pysoem"]
-fn a_segment_that_soem_left_turning_without_a_watchdog_is_taken_over() {
     is_taken_over(53, Some("OP"), |namespace| soem::program(namespace, "hold-unwatched"));
 }

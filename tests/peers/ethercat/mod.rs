@@ -1,15 +1,5 @@
 //! EtherCAT on a cable between two network namespaces, our simulated segment at its end: Wireshark's dissector in
 //! between, and our master or one that others wrote.
-//!
-//! | file | what |
-//! |---|---|
-//! | `dissector` | frames as tshark has them |
-//! | `scan` | `fieldbeat ethercat scan`, captured |
-//! | `master` | the crate ethercrab brings our drives to OP, and turns one |
-//! | `soem` | the master SOEM does so, by the Python package pysoem; `soem.py` is its program |
-//! | `left` | our master on a segment that one of those was killed on |
-//! | `own` | our master does so, captured from its first frame to its last |
-//! | `terminals` | the same on a coupler with terminals |
 
 mod dissector;
 mod left;
@@ -20,8 +10,7 @@ mod soem;
 mod terminals;
 
 use std::collections::BTreeMap;
-use std::fs::File;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Mutex;
 
 use fieldbeat::bus::ethercat::{
@@ -32,7 +21,6 @@ use fieldbeat::sim::ethercat::{DriveSettings, EthercatSegment, Model, SegmentSet
 use fieldbeat::sim::server::{ServerOptions, SimServer};
 use fieldbeat::time::MS;
 use fieldbeat_core::net::{Carriers, Frames, Os};
-use nix::sched::{CloneFlags, setns};
 
 use crate::capture::Capture;
 use crate::support::{Cable, Ended, Machine, command};
@@ -124,7 +112,7 @@ fn serve(cable: &Cable, segment: EthercatSegment) -> SimServer {
 /// What leaves by PACKET_QDISC_BYPASS is never seen where it leaves: each end sees what comes in there.
 fn capture(cable: &Cable, machine: &Machine, run: impl FnOnce()) -> PathBuf {
     let open = || Os::default().frames(WIRE, MARKER).unwrap();
-    let sent = come_in(&cable.drives, machine.path("sent.pcapng"), at_master(cable, open));
+    let sent = come_in(&cable.drives, machine.path("sent.pcapng"), cable.at_master(open));
     let back = come_in(&cable.master, machine.path("back.pcapng"), cable.among_drives(open));
     run();
     let (sent, back, both) = (sent.end(), back.end(), machine.path("both.pcapng"));
@@ -140,18 +128,6 @@ fn come_in(namespace: &str, file: PathBuf, marks: Box<dyn Frames>) -> Capture<im
     Capture::start(Some(namespace), WIRE, &filter, file, move |text| {
         let header = [&[0xFF; 6][..], &[0x10; 6], &MARKER.to_be_bytes()].concat();
         let _ = marks.lock().unwrap().send(&[&header, text.as_bytes(), &[0; 46]].concat());
-    })
-}
-
-/// What `open` opens at the master's end.
-fn at_master<T: Send>(cable: &Cable, open: impl FnOnce() -> T + Send) -> T {
-    let namespace = File::open(Path::new("/run/netns").join(&cable.master)).unwrap();
-    std::thread::scope(|scope| {
-        let inside = scope.spawn(|| {
-            setns(namespace, CloneFlags::CLONE_NEWNET).unwrap();
-            open()
-        });
-        inside.join().unwrap()
     })
 }
 

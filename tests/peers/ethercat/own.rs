@@ -15,7 +15,7 @@ use super::dissector::{
     ABORT, APRD, APWR, Address, BRD, BWR, DOWNLOAD, DOWNLOADED, Datagram, FPRD, FPWR, FRMW, Frame, LRW,
     Message, NOP, REQUEST, RESPONSE, UPLOAD, UPLOADED, dissect, exchanges,
 };
-use super::{at_master, cable, capture, segment, serve};
+use super::{cable, capture, segment, serve};
 use crate::capture;
 use crate::support::{LONG, Machine, skipping};
 
@@ -125,7 +125,7 @@ fn works_a_segment(test: u8, run: Run) {
     let plan = segment.plan.clone();
     let _line = serve(&cable, segment);
     let mut executed = 0;
-    let file = capture(&cable, &machine, || executed = at_master(&cable, || work(plan, run.leads)));
+    let file = capture(&cable, &machine, || executed = cable.at_master(|| work(plan, run.leads)));
     let exchanges = exchanges(&dissect(&file));
     assert_eq!(exchanges.len() as u64, executed, "a frame a cycle");
     let base = judge_frames(&exchanges, run);
@@ -552,22 +552,12 @@ fn messages(exchanges: &[Exchange], command: u64, station: u64, service: u64) ->
     messages
 }
 
-const S700: Run = Run { family: Family::S700, short_clocks: false, leads: true };
-
 #[test]
 #[ignore = "needs root, iproute2 and tshark"]
 fn tshark_finds_nothing_wrong_with_our_master_at_work() {
-    works_a_segment(36, S700);
-}
-
-#[test]
-#[ignore = "needs root, iproute2 and tshark"]
-fn nor_with_clocks_of_32_bits() {
-    works_a_segment(37, Run { short_clocks: true, ..S700 });
-}
-
-#[test]
-#[ignore = "needs root, iproute2 and tshark"]
-fn nor_with_akd_drives_whose_clocks_follow_ours() {
-    works_a_segment(38, Run { family: Family::Akd, leads: false, ..S700 });
+    let s700 = Run { family: Family::S700, short_clocks: false, leads: true };
+    works_a_segment(36, s700);
+    works_a_segment(37, Run { short_clocks: true, ..s700 });
+    // Their clocks follow ours.
+    works_a_segment(38, Run { family: Family::Akd, leads: false, ..s700 });
 }

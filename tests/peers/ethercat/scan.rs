@@ -9,7 +9,7 @@ use fieldbeat::sim::ethercat::EthercatSegment;
 use fieldbeat_core::net::{Carriers, Os};
 
 use super::dissector::{APRD, APWR, Address, BRD, NOP, dissect, exchanges};
-use super::{ETHERTYPE, WIRE, at_master, cable, capture, segment, serve};
+use super::{ETHERTYPE, WIRE, cable, capture, segment, serve};
 use crate::capture;
 use crate::support::{Cable, Ended, LONG, Machine, PROGRAM, Program, UNJUDGED, command, until};
 
@@ -85,7 +85,7 @@ fn what_is_wrong_with_an_interface_is_told_in_one_line() {
 
 /// Does something while another master, on the same interface, has a frame there every 2 ms.
 fn beside_another<R>(cable: &Cable, run: impl FnOnce() -> R) -> R {
-    let mut master = at_master(cable, || Os::default().frames(WIRE, ETHERTYPE).unwrap());
+    let mut master = cable.at_master(|| Os::default().frames(WIRE, ETHERTYPE).unwrap());
     let end = AtomicBool::new(false);
     std::thread::scope(|scope| {
         // BRD of the states, as a cycle has it.
@@ -152,6 +152,5 @@ fn a_master_is_not_started_beside_another_one_and_one_that_comes_later_stops_it(
     beside_another(&cable, || {
         running.await_text("drive d1: another master commands it: its axis is stopped")
     });
-    running.signal(libc::SIGTERM);
-    running.end();
+    running.end_by(libc::SIGTERM);
 }

@@ -7,7 +7,7 @@ use fieldbeat::time::MS;
 use fieldbeat::{CyclePlan, Master, Memory};
 
 use super::dissector::{APWR, Address, BRD, Datagram, FPWR, Frame, LRW, dissect, exchanges};
-use super::{at_master, cable, capture, serve, with_terminals};
+use super::{cable, capture, serve, with_terminals};
 use crate::support::{LONG, Machine, skipping};
 
 const PERIOD_NS: u64 = 2 * MS;
@@ -31,7 +31,7 @@ fn tshark_finds_nothing_wrong_with_our_master_on_a_coupler_with_terminals() {
     let plan = segment.plan.clone();
     let _segment = serve(&cable, segment);
     let mut executed = 0;
-    let file = capture(&cable, &machine, || executed = at_master(&cable, || work(plan)));
+    let file = capture(&cable, &machine, || executed = cable.at_master(|| work(plan)));
     let exchanges = exchanges(&dissect(&file));
     assert_eq!(exchanges.len() as u64, executed, "a frame a cycle");
     let frames: Vec<&Frame> = exchanges.iter().filter_map(|(_, back)| back.as_ref()).collect();

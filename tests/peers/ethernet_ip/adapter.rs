@@ -187,7 +187,6 @@ fn a_running_master_names_an_adapter_that_dies_and_opens_it_again_by_another_ser
     assert_eq!(back["not_connected"], Value::Null, "{back}");
     let own = &back["protocol_counters"];
     assert_eq!((&own["reopened"], &own["timed_out"]), (&1.into(), &1.into()), "{back}");
-    master.signal(libc::SIGINT);
-    let ended = master.end();
+    let ended = master.end_by(libc::SIGINT);
     assert_eq!(second.numbers("opened").last(), Some(&0), "{}", ended.err);
 }

@@ -3,10 +3,9 @@
 use std::net::SocketAddrV4;
 use std::process::Command;
 
-use fieldbeat::sim::SimDrive;
-use fieldbeat::sim::ethernet_ip::{MoonsSettings, MoonsSim};
-use fieldbeat::sim::server::{ServerOptions, SimServer};
+use fieldbeat::sim::ethernet_ip::MoonsSettings;
 
+use super::serve;
 use crate::support::{Machine, checkout};
 
 /// Messages, and the data of their replies.
@@ -33,8 +32,7 @@ fn converse(test: u8, library: &str, vendor: &str) {
     let machine = Machine::new(test);
     let mut settings = MoonsSettings::new(SocketAddrV4::new(machine.ip(11), 44_818));
     settings.identity.serial = Some(0x0102_0304);
-    let drive: Box<dyn SimDrive> = Box::new(MoonsSim::new(settings));
-    let server = SimServer::start(vec![drive], ServerOptions::default()).unwrap();
+    let server = serve([settings]);
     let mut python = Command::new(checkout("target/peers/python/bin/python"));
     python.arg(checkout("tests/peers/ethernet_ip/programs/explicit.py"));
     python.arg(library).arg(machine.ip(11).to_string()).args(MESSAGES.map(|(message, _)| message));
@@ -52,14 +50,10 @@ fn converse(test: u8, library: &str, vendor: &str) {
 
 #[test]
 #[ignore = "needs python3 and pycomm3"]
-fn unconnected_messages_of_pycomm3_are_answered() {
-    converse(41, "pycomm3", "Applied Motion Products, Inc.");
-}
-
-#[test]
-#[ignore = "needs python3 and pycomm3"]
-fn messages_of_pycomm3_on_a_connection_are_answered() {
-    converse(42, "pycomm3-connected", "Applied Motion Products, Inc.");
+fn messages_of_pycomm3_are_answered_unconnected_and_on_a_connection() {
+    for (test, library) in [(41, "pycomm3"), (42, "pycomm3-connected")] {
+        converse(test, library, "Applied Motion Products, Inc.");
+    }
 }
 
 #[test]

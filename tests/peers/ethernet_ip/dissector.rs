@@ -1,18 +1,16 @@
 //! What Wireshark's dissectors of EtherNet/IP and CIP make of the frames between our master and our simulated drives.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::net::{Ipv4Addr, UdpSocket};
+use std::net::Ipv4Addr;
 use std::path::Path;
 
 use fieldbeat::Master;
 use fieldbeat::axis::{Command, Jog, ParameterError};
 use fieldbeat::bus::ethernet_ip::{Delivery, Explicit, MoonsDrive};
-use fieldbeat::sim::SimDrive;
-use fieldbeat::sim::ethernet_ip::{MoonsSettings, MoonsSim};
-use fieldbeat::sim::server::{ServerOptions, SimServer};
+use fieldbeat::sim::ethernet_ip::MoonsSettings;
 
-use super::{drive, plan};
-use crate::capture::{Capture, dissect};
+use super::{drive, plan, serve};
+use crate::capture::{dissect, on_loopback};
 use crate::support::{LONG, Machine, until};
 
 /// One message of a session, as the dissector has it.
@@ -192,16 +190,8 @@ fn tshark_finds_nothing_wrong_with_ethernet_ip() {
     let mut drives: Vec<MoonsDrive> =
         (0..2).map(|index| drive(&format!("d{index}"), machine.ip(11 + index))).collect();
     (drives[1].explicit, drives[1].delivery) = (Explicit::Connected, Delivery::Multicast);
-    let simulated = drives
-        .iter()
-        .map(|drive| Box::new(MoonsSim::new(MoonsSettings::of(drive))) as Box<dyn SimDrive>)
-        .collect::<Vec<_>>();
-    let _server = SimServer::start(simulated, ServerOptions::default()).unwrap();
-    let socket = UdpSocket::bind((machine.ip(240), 0)).unwrap();
-    let filter = format!("net {}/24", machine.ip(0));
-    let capture = Capture::start(None, "lo", &filter, machine.path("lo.pcapng"), |text| {
-        let _ = socket.send_to(text.as_bytes(), (machine.ip(241), 9));
-    });
+    let _server = serve(drives.iter().map(MoonsSettings::of));
+    let capture = on_loopback(&machine);
     let master = Master::from_plan(plan(machine.ip(1), drives.clone())).start().unwrap();
     master.wait_online(LONG).unwrap();
     for name in ["d0", "d1"] {

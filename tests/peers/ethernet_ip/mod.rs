@@ -1,12 +1,4 @@
 //! EtherNet/IP: implementations of others at either end, and Wireshark's dissector in between.
-//!
-//! | file | what |
-//! |---|---|
-//! | `adapter` | our master, and a class 1 adapter of cm-ethernetip |
-//! | `scanners` | class 1 scanners of st-ethernet-ip and ethernetip, and our simulated drive |
-//! | `clients` | explicit messages of pycomm3 and cpppo, and our simulated drive |
-//! | `dissector` | our master and our simulated drives, and what tshark sees |
-//! | `programs` | their programs |
 
 mod adapter;
 mod clients;
@@ -15,11 +7,14 @@ mod scanners;
 
 use std::net::Ipv4Addr;
 
+use fieldbeat::Plan;
 use fieldbeat::bus::ethernet_ip::{EthernetIpPlan, MoonsDrive};
+use fieldbeat::sim::SimDrive;
+use fieldbeat::sim::ethernet_ip::{MoonsSettings, MoonsSim};
+use fieldbeat::sim::server::{ServerOptions, SimServer};
 use fieldbeat::time::MS;
-use fieldbeat::{CyclePlan, Plan, Realtime};
 
-use crate::support::{LONG, skipping};
+use crate::support::{LONG, ordinary_cycle, skipping};
 
 /// Command words.
 const ENABLE: i64 = 0x2;
@@ -31,6 +26,13 @@ const STATUS: usize = 0;
 const POSITION: usize = 6;
 const ENABLED: i64 = 0x1;
 const MOVING: i64 = 0x10;
+
+/// Simulated drives.
+fn serve(settings: impl IntoIterator<Item = MoonsSettings>) -> SimServer {
+    let drive = |settings| Box::new(MoonsSim::new(settings)) as Box<dyn SimDrive>;
+    let drives: Vec<_> = settings.into_iter().map(drive).collect();
+    SimServer::start(drives, ServerOptions::default()).unwrap()
+}
 
 /// A drive for a busy computer: its packets count for long, and its commands may take long.
 fn drive(name: &str, address: Ipv4Addr) -> MoonsDrive {
@@ -47,11 +49,5 @@ fn drive(name: &str, address: Ipv4Addr) -> MoonsDrive {
 
 /// A machine of these drives, with a packet to each every 10 ms.
 fn plan(bind: Ipv4Addr, drives: Vec<MoonsDrive>) -> Plan {
-    let cycle = CyclePlan {
-        period_ns: 2 * MS,
-        receive_deadline: 0.8,
-        realtime: Realtime::Off,
-        ..CyclePlan::default()
-    };
-    skipping(EthernetIpPlan::new(bind, drives), cycle)
+    skipping(EthernetIpPlan::new(bind, drives), ordinary_cycle())
 }

@@ -3,11 +3,9 @@
 use std::net::{Ipv4Addr, SocketAddrV4};
 use std::process::Command;
 
-use fieldbeat::sim::SimDrive;
-use fieldbeat::sim::ethernet_ip::{MoonsSettings, MoonsSim};
-use fieldbeat::sim::server::{ServerOptions, SimServer};
+use fieldbeat::sim::ethernet_ip::MoonsSettings;
 
-use super::{ENABLE, ENABLED, MOVING, POSITION, RELATIVE, STATUS};
+use super::{ENABLE, ENABLED, MOVING, POSITION, RELATIVE, STATUS, serve};
 use crate::peer::Peer;
 use crate::support::{CABLE_NET, Cable, LONG, Machine, checkout, until};
 
@@ -16,8 +14,8 @@ const RPI: &str = "20";
 /// How far it moves, steps.
 const DISTANCE: i64 = -20_000;
 
-fn drive(address: Ipv4Addr) -> Box<dyn SimDrive> {
-    Box::new(MoonsSim::new(MoonsSettings::new(SocketAddrV4::new(address, 44_818))))
+fn drive(address: Ipv4Addr) -> MoonsSettings {
+    MoonsSettings::new(SocketAddrV4::new(address, 44_818))
 }
 
 /// VE, AC, DE, DI of the move behind what jogs: 5 rev/s, 100 rev/s².
@@ -71,7 +69,7 @@ fn operate(scanner: &mut Peer) {
 #[ignore = "needs node and st-ethernet-ip"]
 fn a_scanner_of_st_ethernet_ip_enables_and_moves_the_simulated_drive() {
     let machine = Machine::new(61);
-    let server = SimServer::start(vec![drive(machine.ip(11))], ServerOptions::default()).unwrap();
+    let server = serve([drive(machine.ip(11))]);
     let scanner = || {
         let mut node = Command::new("node");
         node.arg(checkout("tests/peers/ethernet_ip/programs/scanner.js"));
@@ -91,8 +89,7 @@ fn a_scanner_of_st_ethernet_ip_enables_and_moves_the_simulated_drive() {
 fn a_scanner_of_ethernetip_enables_and_moves_the_simulated_drive() {
     let machine = Machine::new(62).on(CABLE_NET);
     let cable = Cable::new(62, &[11]);
-    let server = cable
-        .among_drives(|| SimServer::start(vec![drive(machine.ip(11))], ServerOptions::default()).unwrap());
+    let server = cable.among_drives(|| serve([drive(machine.ip(11))]));
     let scanner = || {
         let python = checkout("target/peers/scanner/bin/python");
         let mut python = Cable::command(&cable.master, python.to_str().unwrap());

@@ -5,23 +5,16 @@ use std::net::{SocketAddrV4, TcpListener, TcpStream};
 use std::thread::{sleep, spawn};
 use std::time::Duration;
 
-use fieldbeat::sim::SimDrive;
-use fieldbeat::sim::modbus::{UnidriveSettings, UnidriveSim};
-use fieldbeat::sim::server::{ServerOptions, SimServer};
+use fieldbeat::sim::modbus::UnidriveSettings;
 
 use super::Library::{Libmodbus, Pymodbus};
-use super::{Library, PORT};
+use super::{Library, PORT, serve};
 use crate::peer::Peer;
 use crate::support::{LONG, Machine, until};
 
 /// The most registers of a request, and 22.001 with 32-bit access: 80 parameters begin there.
 const MOST: u16 = 120;
 const SETUP: u16 = 0x4000 + 22 * 100;
-
-fn serve(settings: UnidriveSettings) -> SimServer {
-    let drive: Box<dyn SimDrive> = Box::new(UnidriveSim::new(settings));
-    SimServer::start(vec![drive], ServerOptions::default()).unwrap()
-}
 
 /// Passes on what comes for `to`, both ways, a byte at a time.
 fn dribble(listen: SocketAddrV4, to: SocketAddrV4) {
@@ -143,7 +136,7 @@ fn all_of_it(client: &mut Peer, library: Library) {
 fn converse(test: u8, library: Library) {
     let machine = Machine::new(test);
     let address = SocketAddrV4::new(machine.ip(11), PORT);
-    let server = serve(UnidriveSettings::new(address));
+    let server = serve([UnidriveSettings::new(address)]);
     let mut client = library.start("client", &machine, address, &[]);
     all_of_it(&mut client, library);
     // Two requests in one segment have two replies, in order.
@@ -153,17 +146,9 @@ fn converse(test: u8, library: Library) {
     let mut settings = UnidriveSettings::new(SocketAddrV4::new(machine.ip(12), PORT));
     settings.interface.pipelining = false;
     let address = settings.address;
-    let _server = serve(settings);
+    let _server = serve([settings]);
     let mut client = library.start("client", &machine, address, &[]);
     assert_eq!(client.numbers("twice 0x47E4 2"), [7]);
-}
-
-fn converse_in_bytes(test: u8, library: Library) {
-    let machine = Machine::new(test);
-    let [address, between] = [11, 12].map(|host| SocketAddrV4::new(machine.ip(host), PORT));
-    let _server = serve(UnidriveSettings::new(address));
-    dribble(between, address);
-    all_of_it(&mut library.start("client", &machine, between, &[]), library);
 }
 
 #[test]
@@ -179,13 +164,13 @@ fn a_client_of_pymodbus_operates_the_simulated_drive() {
 }
 
 #[test]
-#[ignore = "needs cc and libmodbus (libmodbus-dev)"]
-fn a_client_of_libmodbus_operates_the_simulated_drive_in_single_bytes() {
-    converse_in_bytes(18, Libmodbus);
-}
-
-#[test]
-#[ignore = "needs python3 and pymodbus"]
-fn a_client_of_pymodbus_operates_the_simulated_drive_in_single_bytes() {
-    converse_in_bytes(19, Pymodbus);
+#[ignore = "needs cc, libmodbus (libmodbus-dev), python3 and pymodbus"]
+fn clients_of_others_operate_the_simulated_drive_in_single_bytes() {
+    for (test, library) in [(18, Libmodbus), (19, Pymodbus)] {
+        let machine = Machine::new(test);
+        let [address, between] = [11, 12].map(|host| SocketAddrV4::new(machine.ip(host), PORT));
+        let _server = serve([UnidriveSettings::new(address)]);
+        dribble(between, address);
+        all_of_it(&mut library.start("client", &machine, between, &[]), library);
+    }
 }

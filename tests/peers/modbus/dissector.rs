@@ -1,16 +1,14 @@
 //! What Wireshark's dissector of Modbus TCP makes of the frames between our master and our simulated drive.
 
-use std::net::{Ipv4Addr, SocketAddrV4, UdpSocket};
+use std::net::{Ipv4Addr, SocketAddrV4};
 
 use fieldbeat::axis::{Command, Jog};
 use fieldbeat::bus::modbus::{ModbusPlan, Via};
-use fieldbeat::sim::SimDrive;
-use fieldbeat::sim::modbus::{ReadWrite, UnidriveSettings, UnidriveSim};
-use fieldbeat::sim::server::{ServerOptions, SimServer};
+use fieldbeat::sim::modbus::{ReadWrite, UnidriveSettings};
 use fieldbeat::{Master, Plan};
 
-use super::{PORT, drive, plan};
-use crate::capture::{Capture, dissect};
+use super::{PORT, drive, plan, serve};
+use crate::capture::{dissect, on_loopback};
 use crate::support::{LONG, Machine, until};
 
 /// One message, as the dissector has it.
@@ -139,14 +137,10 @@ fn tshark_finds_nothing_wrong_with_modbus() {
         if index == 2 {
             settings.interface.read_write = ReadWrite::Refused;
         }
-        Box::new(UnidriveSim::new(settings)) as Box<dyn SimDrive>
+        settings
     });
-    let _server = SimServer::start(simulated.collect::<Vec<_>>(), ServerOptions::default()).unwrap();
-    let socket = UdpSocket::bind((machine.ip(240), 0)).unwrap();
-    let filter = format!("net {}/24", machine.ip(0));
-    let capture = Capture::start(None, "lo", &filter, machine.path("lo.pcapng"), |text| {
-        let _ = socket.send_to(text.as_bytes(), (machine.ip(241), 9));
-    });
+    let _server = serve(simulated);
+    let capture = on_loopback(&machine);
     let plan = Plan { buses: vec![Box::new(ModbusPlan::new(drives.clone()))], ..plan(drives[0].clone()) };
     let master = Master::from_plan(plan).start().unwrap();
     master.wait_online(LONG).unwrap();

@@ -9,13 +9,11 @@ use std::time::Duration;
 use fieldbeat::Master;
 use fieldbeat::axis::Health;
 use fieldbeat::bus::modbus::UnidriveDrive;
-use fieldbeat::sim::SimDrive;
-use fieldbeat::sim::modbus::{UnidriveSettings, UnidriveSim};
-use fieldbeat::sim::server::{ServerOptions, SimServer};
+use fieldbeat::sim::modbus::UnidriveSettings;
 use fieldbeat::time::MS;
 use nix::sys::socket::{SockaddrIn, getpeername, getsockname};
 
-use super::{PORT, drive, plan};
+use super::{PORT, drive, plan, serve};
 use crate::support::{LONG, Machine, until};
 
 /// Of so many segments one is lost.
@@ -75,8 +73,7 @@ fn lost(test: u8, reply_within_ns: u64) -> (u32, u64) {
     let mut drive = drive(address);
     (drive.reply_within_ns, drive.axis.divisor) = (reply_within_ns, 4);
     drive.axis.health = Health::default();
-    let sim: Box<dyn SimDrive> = Box::new(UnidriveSim::new(UnidriveSettings::new(address)));
-    let _server = SimServer::start(vec![sim], ServerOptions::default()).unwrap();
+    let _server = serve([UnidriveSettings::new(address)]);
     let master = Master::from_plan(plan(drive)).start().unwrap();
     master.wait_online(LONG).unwrap();
     let (mut before, mut all) = (Vec::new(), 0);

@@ -204,20 +204,10 @@ fn our_master_exchanges_with_a_server_of_libmodbus_by_one_function() {
 
 #[test]
 #[ignore = "needs cc and libmodbus (libmodbus-dev)"]
-fn our_master_exchanges_with_a_server_of_libmodbus_by_pairs() {
-    exchange(12, Libmodbus, &["no-read-write"], false);
-}
-
-#[test]
-#[ignore = "needs cc and libmodbus (libmodbus-dev)"]
-fn our_master_exchanges_with_a_server_of_libmodbus_that_ignores_function_23() {
-    exchange(21, Libmodbus, &["ignores-read-write"], false);
-}
-
-#[test]
-#[ignore = "needs cc and libmodbus (libmodbus-dev)"]
-fn our_master_exchanges_with_a_server_of_libmodbus_that_closes_on_function_23() {
-    exchange(22, Libmodbus, &["closes-on-read-write"], false);
+fn our_master_exchanges_with_a_server_of_libmodbus_that_refuses_ignores_or_closes_on_function_23() {
+    for (test, option) in [(12, "no-read-write"), (21, "ignores-read-write"), (22, "closes-on-read-write")] {
+        exchange(test, Libmodbus, &[option], false);
+    }
 }
 
 #[test]

@@ -1,15 +1,8 @@
 //! Modbus TCP: two other implementations, libmodbus and pymodbus, at either end, and Wireshark's dissector in between.
 //!
-//! | file | what |
-//! |---|---|
-//! | `masters` | our master, and their servers |
-//! | `clients` | their clients, and our simulated drive |
-//! | `dissector` | our master and our simulated drive, and what tshark sees |
-//! | `loss` | our master and our simulated drive, and a socket filter that loses segments |
-//! | `programs` | their servers and clients, told by lines what to do |
-//!
-//! Both servers have one register for each address, where a drive has one parameter: what is exchanged with them must
-//! not overlap, so that of 32-bit parameters next to each other only every second one is used.
+//! `programs` are their servers and clients, told by lines what to do. Both servers have one register for each address,
+//! where a drive has one parameter: what is exchanged with them must not overlap, so that of 32-bit parameters next to
+//! each other only every second one is used.
 
 mod clients;
 mod dissector;
@@ -19,12 +12,15 @@ mod masters;
 use std::net::SocketAddrV4;
 use std::process::Command;
 
+use fieldbeat::Plan;
 use fieldbeat::bus::modbus::{ModbusPlan, UnidriveDrive};
-use fieldbeat::time::{MS, S};
-use fieldbeat::{CyclePlan, Plan, Realtime};
+use fieldbeat::sim::SimDrive;
+use fieldbeat::sim::modbus::{UnidriveSettings, UnidriveSim};
+use fieldbeat::sim::server::{ServerOptions, SimServer};
+use fieldbeat::time::S;
 
 use crate::peer::Peer;
-use crate::support::{LONG, Machine, checkout, command, skipping};
+use crate::support::{LONG, Machine, checkout, command, ordinary_cycle, skipping};
 
 /// Anybody may listen here.
 const PORT: u16 = 1502;
@@ -80,6 +76,13 @@ fn long(value: i32) -> [u16; 2] {
     [(value >> 16) as u16, value as u16]
 }
 
+/// Simulated drives.
+fn serve(settings: impl IntoIterator<Item = UnidriveSettings>) -> SimServer {
+    let drive = |settings| Box::new(UnidriveSim::new(settings)) as Box<dyn SimDrive>;
+    let drives: Vec<_> = settings.into_iter().map(drive).collect();
+    SimServer::start(drives, ServerOptions::default()).unwrap()
+}
+
 /// A drive for a busy computer: nothing is missed because somebody was slow.
 fn drive(address: SocketAddrV4) -> UnidriveDrive {
     let mut drive = UnidriveDrive::new("m", *address.ip());
@@ -94,11 +97,5 @@ fn drive(address: SocketAddrV4) -> UnidriveDrive {
 
 /// A machine of this drive, with 500 exchanges a second.
 fn plan(drive: UnidriveDrive) -> Plan {
-    let cycle = CyclePlan {
-        period_ns: 2 * MS,
-        receive_deadline: 0.8,
-        realtime: Realtime::Off,
-        ..CyclePlan::default()
-    };
-    skipping(ModbusPlan::new(vec![drive]), cycle)
+    skipping(ModbusPlan::new(vec![drive]), ordinary_cycle())
 }

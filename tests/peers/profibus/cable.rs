@@ -4,12 +4,13 @@
 
 use std::fs::{File, OpenOptions};
 use std::io::{self, Read, Write};
-use std::os::fd::{AsFd, AsRawFd, FromRawFd};
+use std::os::fd::{AsFd, AsRawFd};
 use std::os::unix::fs::OpenOptionsExt;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 
+use fieldbeat_testing::Pty;
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 
 use super::telegrams::Telegram;
@@ -33,27 +34,17 @@ pub struct Cable {
     pump: Option<JoinHandle<()>>,
 }
 
-/// The near end of a pseudo-terminal, and its port, which is open so that nobody who closes it ends it.
+/// A pseudo-terminal, and its port, which is open so that nobody who closes it ends it.
 struct End {
-    near: File,
-    path: String,
+    near: Pty,
     _port: File,
 }
 
 impl End {
     fn new() -> End {
-        let mut name = [0; 64];
-        // SAFETY: plain numbers; the descriptor is new and nobody else's; the kernel writes at most 64 bytes, with a
-        // zero at their end.
-        let (near, path) = unsafe {
-            let near = libc::posix_openpt(libc::O_RDWR | libc::O_NOCTTY | libc::O_CLOEXEC);
-            assert!(near >= 0, "{}", io::Error::last_os_error());
-            assert_eq!((libc::grantpt(near), libc::unlockpt(near)), (0, 0));
-            assert_eq!(libc::ptsname_r(near, name.as_mut_ptr(), name.len()), 0);
-            (File::from_raw_fd(near), std::ffi::CStr::from_ptr(name.as_ptr()).to_str().unwrap().to_owned())
-        };
-        let port =
-            OpenOptions::new().read(true).write(true).custom_flags(libc::O_NOCTTY).open(&path).unwrap();
+        let near = Pty::new();
+        let mut options = OpenOptions::new();
+        let port = options.read(true).write(true).custom_flags(libc::O_NOCTTY).open(&near.path).unwrap();
         // SAFETY: all bytes zero are valid settings; the calls take a live value and a descriptor that is open.
         unsafe {
             let mut settings = std::mem::zeroed();
@@ -61,14 +52,14 @@ impl End {
             libc::cfmakeraw(&raw mut settings);
             assert_eq!(libc::tcsetattr(port.as_raw_fd(), libc::TCSANOW, &raw const settings), 0);
         }
-        End { near, path, _port: port }
+        End { near, _port: port }
     }
 }
 
 impl Cable {
     pub fn new() -> Cable {
         let ends = [End::new(), End::new()];
-        let [master, drives] = ends.each_ref().map(|end| end.path.clone());
+        let [master, drives] = ends.each_ref().map(|end| end.near.path.clone());
         let (passed, cut) = (Passed::default(), Arc::new(AtomicBool::new(false)));
         let (record, is_cut) = (Arc::clone(&passed), Arc::clone(&cut));
         let pump = std::thread::spawn(move || {
@@ -123,16 +114,16 @@ impl Drop for Cable {
 
 /// Waits for bytes, and hands on what has come.
 fn carry([master, drives]: &[End; 2], record: &Passed) {
-    let mut waits = [master, drives].map(|end| PollFd::new(end.near.as_fd(), PollFlags::POLLIN));
+    let mut waits = [master, drives].map(|end| PollFd::new(end.near.end.as_fd(), PollFlags::POLLIN));
     // Now and then it is looked whether the cable is cut.
     poll(&mut waits, PollTimeout::from(20_u8)).unwrap();
     let has_come = waits.map(|wait| wait.any().unwrap());
     for (by, from, to) in [(By::Master, master, drives), (By::Drive, drives, master)] {
         if has_come[by as usize] {
             let mut bytes = [0; 512];
-            let count = (&from.near).read(&mut bytes).unwrap();
+            let count = (&from.near.end).read(&mut bytes).unwrap();
             record.lock().unwrap().push((by, bytes[..count].to_vec()));
-            (&to.near).write_all(&bytes[..count]).unwrap();
+            (&to.near.end).write_all(&bytes[..count]).unwrap();
         }
     }
 }

@@ -1,15 +1,8 @@
 //! PROFIBUS DP: masters of others and our simulated slaves, and our master and others' decoder. Each master is at one
 //! end of a cable between two pseudo-terminals, the slaves are at the other one.
 //!
-//! No package has a slave, and none has DP-V1: what our slaves and acyclic access do beyond DP-V0 is not judged here.
-//!
-//! | file | what |
-//! |---|---|
-//! | `cable` | the cable, and the telegrams that have passed it |
-//! | `telegrams` | start-up telegrams, byte by byte |
-//! | `masters` | the crate profirust and pyprofibus bring our slaves to Data_Exchange, and read their parameters |
-//! | `own` | our master does so; profirust decodes what is on the wire |
-//! | `programs` | pyprofibus, commanded by lines; profirust is the package `tests/peers/profirust` |
+//! `programs` is pyprofibus, commanded by lines; profirust is the package `tests/peers/profirust`. No package has a
+//! slave, and none has DP-V1: what our slaves and acyclic access do beyond DP-V0 is not judged here.
 
 mod cable;
 mod masters;
