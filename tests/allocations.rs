@@ -21,7 +21,7 @@ use fieldbeat::sim::{
     Carrier, FaultPlan, SerialWire, SimDrive, SimSegment, SimSerial, Simulated, WorldOptions,
 };
 use fieldbeat::time::{MS, S, Time};
-use fieldbeat::{CyclePlan, Flow, Master, Overrun, Plan, Simulation};
+use fieldbeat::{CyclePlan, Flow, Master, Overrun, Plan, Setup, Simulation};
 use fieldbeat_core::axis::acyclic::{Call, Notation};
 use fieldbeat_core::cycle::record::Record;
 use fieldbeat_core::inputs::recording::LogReader;
@@ -50,8 +50,18 @@ fn an_allocation_would_be_noticed() {
 /// A simulated drive may allocate: it runs on the loop's thread in virtual time only.
 struct Unwatched(Box<dyn SimDrive>);
 
+impl Unwatched {
+    fn new(drive: Box<dyn SimDrive>) -> Box<dyn SimDrive> {
+        Box::new(Unwatched(drive))
+    }
+}
+
 impl SimDrive for Unwatched {
     crate::forward_sim_drive!(0);
+    crate::forward! { this => this.0;
+        fn more_sockets(&self) -> Vec<(Carrier, SocketAddrV4)>;
+        fn next_due(&self) -> Option<Time>;
+    }
 
     fn receive(
         &mut self,
@@ -62,9 +72,29 @@ impl SimDrive for Unwatched {
     ) -> Option<SocketAddrV4> {
         unwatched(|| self.0.receive(now, from, bytes, reply))
     }
+    fn receive_at(
+        &mut self,
+        socket: usize,
+        now: Time,
+        from: SocketAddrV4,
+        bytes: &[u8],
+        reply: &mut Vec<u8>,
+    ) -> Option<SocketAddrV4> {
+        unwatched(|| self.0.receive_at(socket, now, from, bytes, reply))
+    }
+    fn run(&mut self, now: Time, send: &mut dyn FnMut(usize, SocketAddrV4, &[u8])) {
+        unwatched(|| self.0.run(now, send));
+    }
     fn restart(&mut self, now: Time) {
         unwatched(|| self.0.restart(now));
     }
+}
+
+/// A machine in virtual time whose telemetry may allocate: it has a thread of its own where time is real.
+fn begun(setup: Setup, simulated: impl Into<Simulated>, options: WorldOptions) -> Simulation {
+    let mut sim = setup.simulate_with(simulated, options).unwrap();
+    sim.run_telemetry_by(|work| unwatched(work));
+    sim
 }
 
 /// Native process data of all drives, for a recording.
@@ -95,7 +125,7 @@ fn a_recorded_run_allocates_nothing() {
         *LOG.lock().unwrap() = Some(log.reader);
     });
     let drives = support::simulated(&config).drives.into_iter();
-    let drives: Vec<_> = drives.map(|drive| Box::new(Unwatched(drive)) as Box<dyn SimDrive>).collect();
+    let drives: Vec<_> = drives.map(Unwatched::new).collect();
     let mut sim = setup.simulate_with(drives, WorldOptions::default()).unwrap();
     sim.run_telemetry_by(|work| {
         unwatched(|| {
@@ -135,10 +165,8 @@ fn a_million_cycles_in_virtual_time_allocate_nothing() {
         seen.fetch_add(u64::from(link == Some(Link::Lost)), Ordering::Relaxed);
     });
     let drives = support::simulated(&config).drives.into_iter();
-    let drives: Vec<_> = drives.map(|drive| Box::new(Unwatched(drive)) as Box<dyn SimDrive>).collect();
-    let mut sim = setup.simulate_with(drives, WorldOptions::default()).unwrap();
-    // The telemetry may allocate: it has a thread of its own where time is real.
-    sim.run_telemetry_by(|work| unwatched(work));
+    let drives: Vec<_> = drives.map(Unwatched::new).collect();
+    let mut sim = begun(setup, drives, WorldOptions::default());
     let faults = FaultPlan {
         seed: 7,
         drop: 0.01,
@@ -389,9 +417,7 @@ fn a_line_allocates_nothing_from_its_bring_up_to_its_end() {
     let drives = UnwatchedLine(EthercatSim::of(&line));
     let drives = Simulated { segments: vec![Box::new(drives)], ..Simulated::default() };
     let options = WorldOptions { wake_ns: 20_000, ..WorldOptions::default() };
-    let mut sim = Master::from_plan(machine_of(line, cycle)).simulate_with(drives, options).unwrap();
-    // The telemetry may allocate: it has a thread of its own where time is real.
-    sim.run_telemetry_by(|work| unwatched(work));
+    let mut sim = begun(Master::from_plan(machine_of(line, cycle)), drives, options);
     // Buffers that the simulated network keeps for reuse, both ways: frames that come this late bring nobody up.
     let late = FaultPlan { delay: 1.0, delay_ns: 20_000_000, duplicate: 1.0, ..FaultPlan::default() };
     assert!(sim.world().set_segment_faults(LINE, late));
@@ -450,45 +476,6 @@ fn a_line_allocates_nothing_from_its_bring_up_to_its_end() {
     assert!(end.drives.iter().all(|drive| !drive.feedback.status.state.is_powered()), "{:?}", end.drives);
 }
 
-/// A MOONS' drive that may allocate: it runs on the loop's thread in virtual time only.
-struct UnwatchedMoons(MoonsSim);
-
-impl SimDrive for UnwatchedMoons {
-    crate::forward_sim_drive!(0);
-
-    fn more_sockets(&self) -> Vec<(Carrier, SocketAddrV4)> {
-        self.0.more_sockets()
-    }
-    fn receive(
-        &mut self,
-        now: Time,
-        from: SocketAddrV4,
-        bytes: &[u8],
-        reply: &mut Vec<u8>,
-    ) -> Option<SocketAddrV4> {
-        unwatched(|| self.0.receive(now, from, bytes, reply))
-    }
-    fn receive_at(
-        &mut self,
-        socket: usize,
-        now: Time,
-        from: SocketAddrV4,
-        bytes: &[u8],
-        reply: &mut Vec<u8>,
-    ) -> Option<SocketAddrV4> {
-        unwatched(|| self.0.receive_at(socket, now, from, bytes, reply))
-    }
-    fn next_due(&self) -> Option<Time> {
-        self.0.next_due()
-    }
-    fn run(&mut self, now: Time, send: &mut dyn FnMut(usize, SocketAddrV4, &[u8])) {
-        unwatched(|| self.0.run(now, send));
-    }
-    fn restart(&mut self, now: Time) {
-        unwatched(|| self.0.restart(now));
-    }
-}
-
 /// MOONS' drives by their own clocks, on a network that loses packets and brings them late or twice. Their sessions are
 /// on the loop's thread in virtual time only, and allocate when they open a connection, or ask something: not here.
 #[test]
@@ -506,13 +493,11 @@ fn packets_allocate_nothing_while_their_connections_are_open() {
     let drives = bus.drives.iter().enumerate().map(|(index, drive)| {
         let mut settings = MoonsSettings::of(drive);
         settings.clock = ClockSettings { drift_ppm: 300, jitter_ns: 200_000, seed: index as u64 };
-        Box::new(UnwatchedMoons(MoonsSim::new(settings))) as Box<dyn SimDrive>
+        Unwatched::new(Box::new(MoonsSim::new(settings)))
     });
     let drives: Vec<_> = drives.collect();
-    let plan = machine_of(bus, CyclePlan::default());
-    let mut sim = Master::from_plan(plan).simulate_with(drives, WorldOptions::default()).unwrap();
-    // The telemetry may allocate: it has a thread of its own where time is real.
-    sim.run_telemetry_by(|work| unwatched(work));
+    let setup = Master::from_plan(machine_of(bus, CyclePlan::default()));
+    let mut sim = begun(setup, drives, WorldOptions::default());
     assert!(sim.run_until(60_000, is_up), "they are online");
     for index in 0..3 {
         let packets = SocketAddrV4::new(Ipv4Addr::new(10, 0, 6, 2 + index), IO_PORT);
@@ -610,9 +595,7 @@ fn a_serial_wire_allocates_nothing_from_its_claim_to_its_end() {
         let stopped = axes.feedback(0).and_then(|feedback| feedback.stopped);
         seen.fetch_add(u64::from(stopped == Some(StopCause::OtherMaster)), Ordering::Relaxed);
     });
-    let mut sim = setup.simulate_with(simulated, WorldOptions::default()).unwrap();
-    // The telemetry may allocate: it has a thread of its own where time is real.
-    sim.run_telemetry_by(|work| unwatched(work));
+    let mut sim = begun(setup, simulated, WorldOptions::default());
     // Buffers that the simulated wire keeps for reuse, more than the faults will ever need at once.
     let late = FaultPlan { delay: 1.0, delay_ns: 20 * MS, duplicate: 1.0, ..FaultPlan::default() };
     assert!(sim.world().set_wire_faults(PORT, late));

@@ -12,11 +12,12 @@
 //!
 //! The tests own 127.p.250.0/23, p from the process as in `tests/support`.
 
+mod support;
+
 use std::collections::BTreeSet;
 use std::fs;
-use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
-use std::process::{self, Child, Output, Stdio};
+use std::process;
 
 use fieldbeat::axis::{Command, Link, Outcome};
 use fieldbeat::config::linmot::curve as curve_file;
@@ -27,12 +28,7 @@ use fieldbeat::{Master, Simulation};
 use fieldbeat_config::schema;
 use fieldbeat_core::bus::diagnosis::Row;
 use serde_json::Value;
-
-/// Lines of `[cycle]` by which the shares of a run are not judged.
-const UNJUDGED: &str = "max_late_share = 1.0\nmax_skipped_share = 1.0\nmax_unanswered_share = 1.0\n";
-
-/// The program as a user has it.
-const PROGRAM: &str = env!("CARGO_BIN_EXE_fieldbeat");
+use support::{Ended, Machine, PROGRAM, Program, UNJUDGED, checkout};
 
 /// What completes a part of a configuration.
 const PARTS: [(&str, &str); 5] = [
@@ -60,10 +56,6 @@ const PARTS: [(&str, &str); 5] = [
          [[bus.drive]]\nname = \"x\"\naddress = 3\nlimits.velocity = 20\n",
     ),
 ];
-
-fn checkout(file: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join(file)
-}
 
 /// A Markdown file, named by its path in the checkout.
 struct Page {
@@ -192,13 +184,8 @@ fn every_machine_comes_up_in_virtual_time() {
 }
 
 /// Runs the program in the checkout.
-fn run(arguments: &[&str]) -> Output {
-    process::Command::new(PROGRAM)
-        .args(arguments)
-        .current_dir(checkout(""))
-        .stdin(Stdio::null())
-        .output()
-        .unwrap()
+fn run(arguments: &[&str]) -> Ended {
+    Program::spawn(process::Command::new(PROGRAM).args(arguments).current_dir(checkout(""))).end()
 }
 
 /// The words of a command up to a comment, a pipe or a redirection.
@@ -234,7 +221,7 @@ fn mistake(line: &str) -> Option<String> {
     }
     // clap reads up to it, option by option and value by value, and then does nothing but print.
     let ended = run(&[arguments, &["--help"]].concat());
-    (!ended.status.success()).then(|| String::from_utf8_lossy(&ended.stderr).into_owned())
+    (ended.code != Some(0)).then_some(ended.err)
 }
 
 /// Commands of features outside the default ones exist where they were built.
@@ -266,11 +253,10 @@ fn every_command_exists() {
     assert!(commands > 30, "{commands}");
 }
 
-/// What the program says of its own commands and options stands on the page of the commands.
 #[test]
 fn no_command_and_no_option_is_left_out() {
     fn visit(path: &[&str], page: &str) {
-        let help = String::from_utf8(run(&[path, &["--help"]].concat()).stdout).unwrap();
+        let help = run(&[path, &["--help"]].concat()).out;
         // What stands in front of the subcommands.
         let usage = help.lines().find_map(|line| line.strip_prefix("Usage: ")?.split_once("<COMMAND>"));
         let before: Vec<&str> = usage.map_or(Vec::new(), |(before, _)| {
@@ -308,37 +294,29 @@ fn no_command_and_no_option_is_left_out() {
 
 /// The simulated drives of the demo at addresses of this process.
 struct Drives {
-    child: Child,
-    config: PathBuf,
+    _machine: Machine,
+    _program: Program,
     names: [(&'static str, String); 3],
 }
 
 impl Drives {
     fn start() -> Drives {
-        let id = std::process::id();
-        let p = 100 + id % 128;
-        let config = std::env::temp_dir().join(format!("fieldbeat-docs-{id}.toml"));
+        let machine = Machine::new(250);
+        let [_, p, _, _] = machine.ip(0).octets();
+        let config = machine.path("demo.toml");
         let names = [
             ("rt-config/demo.toml", config.display().to_string()),
             ("127.77.", format!("127.{p}.25")),
-            ("local:demo", format!("local:docs-{id}")),
+            ("local:demo", format!("local:docs-{}", process::id())),
         ];
         let text = fs::read_to_string(checkout("rt-config/demo.toml")).unwrap();
         // On any host, whatever that carries.
         let text = text.replace("[cycle]\n", &format!("[cycle]\n{UNJUDGED}"));
         fs::write(&config, names[1..].iter().fold(text, |text, (ours, theirs)| text.replace(ours, theirs)))
             .unwrap();
-        let mut child = process::Command::new(PROGRAM)
-            .arg("sim")
-            .arg(&config)
-            .stdout(Stdio::piped())
-            .spawn()
-            .expect("the program");
-        let mut line = String::new();
-        BufReader::new(child.stdout.as_mut().unwrap()).read_line(&mut line).unwrap();
-        let drives = Drives { child, config, names };
-        assert!(line.contains("listening"), "{line}");
-        drives
+        let mut program = Program::start(["sim".as_ref(), config.as_os_str()]);
+        program.await_text("listening");
+        Drives { _machine: machine, _program: program, names }
     }
 
     /// A command as the page has it, here.
@@ -349,14 +327,6 @@ impl Drives {
     /// What it printed, as the page has it.
     fn there(&self, text: &str) -> String {
         self.names.iter().fold(text.to_owned(), |text, (ours, theirs)| text.replace(theirs, ours))
-    }
-}
-
-impl Drop for Drives {
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
-        let _ = fs::remove_file(&self.config);
     }
 }
 
@@ -391,8 +361,7 @@ fn sessions_print_what_stands_there() {
                 commands += 1;
                 let here = drives.here(command);
                 let ended = run(&words(&here));
-                let printed = [ended.stdout, ended.stderr].concat();
-                let printed = drives.there(&String::from_utf8_lossy(&printed));
+                let printed = drives.there(&(ended.out + &ended.err));
                 let lines: Vec<&str> = printed.lines().collect();
                 assert!(matches(expected, &lines), "{}: {command} printed\n{printed}", block.place());
             }
@@ -618,7 +587,6 @@ fn source(path: &str) -> PathBuf {
     checkout("crates").join(package).join("src").join(file)
 }
 
-/// Each file of a walk is there, and each of its functions is in one of the files of its step.
 #[test]
 fn the_walks_of_the_architecture_name_files_and_functions_that_are_there() {
     let text = fs::read_to_string(checkout("docs/src/architecture.md")).unwrap();
@@ -712,7 +680,6 @@ fn the_modules_of_the_core_point_down() {
     assert!(seen > 100, "{seen}");
 }
 
-/// Each source that the architecture names is there.
 #[test]
 fn the_architecture_names_no_file_that_is_gone() {
     let text = fs::read_to_string(checkout("docs/src/architecture.md")).unwrap();

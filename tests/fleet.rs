@@ -450,41 +450,23 @@ struct Noted(MoonsSim, Arc<AtomicU64>);
 
 impl SimDrive for Noted {
     crate::forward_sim_drive!(0);
+    crate::forward! { this => this.0;
+        fn more_sockets(&self) -> Vec<(Carrier, SocketAddrV4)>;
+        fn next_due(&self) -> Option<Time>;
+        fn receive(&mut self, now: Time, from: SocketAddrV4, bytes: &[u8], reply: &mut Vec<u8>)
+            -> Option<SocketAddrV4>;
+        fn receive_at(
+            &mut self, at: usize, now: Time, from: SocketAddrV4, bytes: &[u8], reply: &mut Vec<u8>
+        ) -> Option<SocketAddrV4>;
+        fn restart(&mut self, now: Time);
+    }
 
-    fn more_sockets(&self) -> Vec<(Carrier, SocketAddrV4)> {
-        self.0.more_sockets()
-    }
-    fn receive(
-        &mut self,
-        now: Time,
-        from: SocketAddrV4,
-        bytes: &[u8],
-        reply: &mut Vec<u8>,
-    ) -> Option<SocketAddrV4> {
-        self.0.receive(now, from, bytes, reply)
-    }
-    fn receive_at(
-        &mut self,
-        socket: usize,
-        now: Time,
-        from: SocketAddrV4,
-        bytes: &[u8],
-        reply: &mut Vec<u8>,
-    ) -> Option<SocketAddrV4> {
-        self.0.receive_at(socket, now, from, bytes, reply)
-    }
-    fn next_due(&self) -> Option<Time> {
-        self.0.next_due()
-    }
     fn run(&mut self, now: Time, send: &mut dyn FnMut(usize, SocketAddrV4, &[u8])) {
         let Noted(drive, sent) = self;
         drive.run(now, &mut |socket, to, bytes| {
             sent.store(now.0, Ordering::Relaxed);
             send(socket, to, bytes);
         });
-    }
-    fn restart(&mut self, now: Time) {
-        self.0.restart(now);
     }
 }
 

@@ -412,7 +412,6 @@ fn server(simulated: impl Into<SimPlan>) -> SimServer {
 
 /// What the child does with a line, and SDOs by mailbox.
 fn live_on_a_line() {
-    leave_no_core();
     let drive = |place: u16| {
         let mut drive = KollmorgenDrive::new(format!("d{place}"), place, Family::S700);
         drive.slave.watchdog = Watchdog::After(100 * MS);
@@ -436,18 +435,17 @@ fn live_on_a_line() {
     Lives { begun, server: None, serve: || server(segment.clone()), read, cycles: 20_000 }.live("on a line");
 }
 
-#[test]
-fn a_line_needs_no_other_system_call_than_those_listed_and_no_allocation() {
-    if role().is_some() {
-        return live_on_a_line();
-    }
-    let name = "a_line_needs_no_other_system_call_than_those_listed_and_no_allocation";
-    innocent_child(name, "linked", 6);
+/// What the child does with a bus whose drives are there before the loop; this is read of the first of them.
+fn live_on<B: BusPlan + Clone + 'static>(bus: &B, serve: impl Fn() -> SimServer, address: &str, what: &str) {
+    let server = Some(serve());
+    let plan = skipping(bus.clone(), CyclePlan { period_ns: 2 * MS, ..CyclePlan::default() });
+    let begun = recorded(plan, Box::new(|_, _| {}));
+    let read = bus.facts(CyclePlan::default().grid()).notation.read(address).unwrap();
+    Lives { begun, server, serve, read, cycles: 10_000 }.live(what);
 }
 
 /// What the child does with MOONS' drives: their connections are opened, too.
 fn live_on_packets() {
-    leave_no_core();
     let machine = Machine::new(7);
     let drive = |index: u8| {
         let mut drive = MoonsDrive::new(format!("m{index}"), machine.ip(10 + index));
@@ -459,26 +457,11 @@ fn live_on_packets() {
         drive
     };
     let bus = EthernetIpPlan::new(machine.ip(1), vec![drive(0), drive(1)]);
-    let serve = || server(MoonsDrives::of(&bus));
-    let first = serve();
-    let plan = skipping(bus.clone(), CyclePlan { period_ns: 2 * MS, ..CyclePlan::default() });
-    let begun = recorded(plan, Box::new(|_, _| {}));
-    let read = bus.facts(CyclePlan::default().grid()).notation.read("AC").unwrap();
-    Lives { begun, server: Some(first), serve, read, cycles: 10_000 }.live("of packets");
-}
-
-#[test]
-fn packets_need_no_other_system_call_than_those_listed_and_no_allocation() {
-    if role().is_some() {
-        return live_on_packets();
-    }
-    let name = "packets_need_no_other_system_call_than_those_listed_and_no_allocation";
-    innocent_child(name, "clocked", 8);
+    live_on(&bus, || server(MoonsDrives::of(&bus)), "AC", "of packets");
 }
 
 /// What the child does with a wire of Lenze drives: codes are read in their turns.
 fn live_on_a_wire() {
-    leave_no_core();
     let drive = |index: u8| {
         let mut drive = LenzeDrive::new(format!("l{index}"), 3 + index);
         drive.axis.divisor = 2;
@@ -492,21 +475,7 @@ fn live_on_a_wire() {
     let mut bus = ProfibusPlan::new(port, 1_500_000, vec![drive(0), drive(1)]);
     // The simulated drives are threads of this host.
     bus.bits.latency_ns = 20 * MS;
-    let serve = || server(ProfibusSegment::of(&bus));
-    let first = serve();
-    let plan = skipping(bus.clone(), CyclePlan { period_ns: 2 * MS, ..CyclePlan::default() });
-    let begun = recorded(plan, Box::new(|_, _| {}));
-    let read = bus.facts(CyclePlan::default().grid()).notation.read("C0061").unwrap();
-    Lives { begun, server: Some(first), serve, read, cycles: 10_000 }.live("of a wire");
-}
-
-#[test]
-fn a_wire_needs_no_other_system_call_than_those_listed_and_no_allocation() {
-    if role().is_some() {
-        return live_on_a_wire();
-    }
-    let name = "a_wire_needs_no_other_system_call_than_those_listed_and_no_allocation";
-    innocent_child(name, "in turn", 9);
+    live_on(&bus, || server(ProfibusSegment::of(&bus)), "C0061", "of a wire");
 }
 
 /// Nothing is said on a new connection.
@@ -584,7 +553,6 @@ fn talk(streams: &mut dyn Streams, enough: Talks) -> Talks {
 
 /// What the child does with connections: some that end all the time, and one that is refused.
 fn live_on_connections() {
-    leave_no_core();
     let machine = Machine::new(4);
     for count in [1_u8, 4] {
         let address = |index| SocketAddrV4::new(machine.ip(count * 10 + index), 1502);
@@ -619,13 +587,24 @@ fn live_on_connections() {
     println!("{LIVED}connections");
 }
 
+/// What a loop lives on besides LinUDP, each in a child of its own.
+const LIVES: [(&str, fn()); 4] = [
+    ("a line", live_on_a_line),
+    ("packets", live_on_packets),
+    ("a wire", live_on_a_wire),
+    ("connections", live_on_connections),
+];
+
 #[test]
-fn connections_need_no_other_system_call_than_those_listed_and_no_allocation() {
-    if role().is_some() {
-        return live_on_connections();
+fn no_carrier_needs_another_system_call_than_those_listed_or_an_allocation() {
+    if let Some(role) = role() {
+        leave_no_core();
+        return LIVES.iter().find(|(carrier, _)| *carrier == role).unwrap().1();
     }
-    let name = "connections_need_no_other_system_call_than_those_listed_and_no_allocation";
-    innocent_child(name, "talking", 5);
+    let name = "no_carrier_needs_another_system_call_than_those_listed_or_an_allocation";
+    for (shelter, (carrier, _)) in (5..).zip(LIVES) {
+        innocent_child(name, carrier, shelter);
+    }
 }
 
 /// What the loop's thread must not do, each called often if it were let.
