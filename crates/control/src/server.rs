@@ -546,7 +546,6 @@ pub(crate) mod tests {
         });
     }
 
-    /// Clients that say nothing, and conversations that were begun and are silent since, delay nobody.
     #[test]
     fn silent_clients_by_the_thousand_hold_up_no_question() {
         let (_directory, path) = socket();
@@ -625,7 +624,6 @@ pub(crate) mod tests {
         stream
     }
 
-    /// None of them ever gets its answer, and all others do.
     #[test]
     fn slow_requests_on_all_places_hold_up_neither_a_stop_nor_a_look() {
         let (_directory, path) = socket();

@@ -1,23 +1,5 @@
 //! The fuzz targets: plain functions of bytes that panic when something does not hold.
 //!
-//! | target | what the bytes are |
-//! |---|---|
-//! | `telegram` | a datagram, for every parser of what comes from a wire |
-//! | `modbus_wire` | a stream of Modbus TCP, for every parser of it; as text, an address and a value of a parameter |
-//! | `modbus` | a program for a Modbus bus on one connection: commands, replies good and bad, a connection that ends |
-//! | `ethercat_wire` | a frame of EtherCAT, a mailbox message, words of an EEPROM |
-//! | `ethercat_mailbox` | a program for the mailbox of a slave: transfers, and a slave that answers as it likes |
-//! | `ethercat_sii` | the answers of a slave's EEPROM |
-//! | `ethercat` | a program for an EtherCAT bus on one line: commands, and frames that come back as they like |
-//! | `ethernet_ip_wire` | a datagram or a stream of EtherNet/IP, for every parser of it |
-//! | `profibus_wire` | what arrives on a PROFIBUS, for every parser of it |
-//! | `channel` | a program for the parameter channel: calls posted, cancelled and forgotten, on a bad wire |
-//! | `files` | the text of a curve or of a command table |
-//! | `recording` | damage to a recording with its log |
-//! | `config` | the text of a configuration |
-//! | `config_keys` | a program that changes the sample configurations key by key |
-//! | `machine` | a program for a whole machine in virtual time: a hostile drive, and an application in a hurry |
-//!
 //! Two drivers run them: `main.rs`, a plain test, and libFuzzer (`libfuzzer/`). A program is read by [`input::Input`],
 //! which makes sense of any bytes, so that whatever a fuzzer changes is a program again.
 

@@ -93,47 +93,34 @@ mod tests {
         let is_ours = |host: &str, local| {
             Meant::parse(host.as_bytes()).is_some_and(|meant| names.are_ours(meant, local))
         };
-        for host in [
-            "localhost",
-            "LocalHost:9464",
-            "localhost.",
-            "127.0.0.1",
-            "127.3.2.1:9464",
-            "[::1]",
-            "[::1]:9464",
-            "[0:0:0:0:0:0:0:1]:9464",
-            "press1:9464",
-            "Press1",
-            &own,
-            " 192.168.1.1:1 ",
-            "[::ffff:192.168.1.1]",
+        for (form, hosts) in [
+            ("this host", &["localhost", "LocalHost:9464", "localhost.", &own][..]),
+            ("a name of the plan", &["press1:9464", "Press1"]),
+            (
+                "the loopback",
+                &["127.0.0.1", "127.3.2.1:9464", "[::1]", "[::1]:9464", "[0:0:0:0:0:0:0:1]:9464"],
+            ),
+            ("the local address", &[" 192.168.1.1:1 ", "[::ffff:192.168.1.1]"]),
         ] {
-            assert!(is_ours(host, v4), "{host}");
+            for host in hosts {
+                assert!(is_ours(host, v4), "{form}: {host}");
+            }
         }
         assert!(is_ours("[fd00::1]:9464", v6) && !is_ours("[fd00::2]:9464", v6));
-        for host in [
-            "",
-            ":",
-            ":9464",
-            "evil.example",
-            "evil.example:9464",
-            "localhost.evil.example",
-            "press1.evil.example",
-            "192.168.1.2",
-            "0.0.0.0",
-            "::1",
-            "[::1",
-            "::1]",
-            "[127.0.0.1]",
-            "[localhost]",
-            "[::1]x",
-            "localhost:x",
-            "localhost:123456",
-            "a@localhost",
-            "localhost/",
-            "127.0.0.1.evil.example",
+        for (wrong, hosts) in [
+            ("no name", &["", ":", ":9464"][..]),
+            ("another name", &["evil.example", "evil.example:9464", "a@localhost", "localhost/"]),
+            (
+                "ours is its begin",
+                &["localhost.evil.example", "press1.evil.example", "127.0.0.1.evil.example"],
+            ),
+            ("another address", &["192.168.1.2", "0.0.0.0"]),
+            ("brackets", &["::1", "[::1", "::1]", "[127.0.0.1]", "[localhost]", "[::1]x"]),
+            ("no port", &["localhost:x", "localhost:123456"]),
         ] {
-            assert!(!is_ours(host, v4), "{host}");
+            for host in hosts {
+                assert!(!is_ours(host, v4), "{wrong}: {host}");
+            }
         }
         assert!(!Meant::parse(b"local\xffhost").is_some_and(|meant| names.are_ours(meant, v4)));
     }
