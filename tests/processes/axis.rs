@@ -116,16 +116,7 @@ fn a_script_of_commands_goes_on_where_the_one_before_has_ended() {
     assert_eq!(state.operator, None);
     assert!(state.axes.iter().all(|axis| axis.operational && axis.commands.is_empty()), "{state:?}");
     script(&config, &[("d0 disable", "axis d0: power off at "), ("d1 disable", "axis d1: power off at ")]);
-    master.signal(SIGTERM);
-    master.end().expect(0);
-}
-
-/// How a process goes away.
-#[derive(Clone, Copy, Debug)]
-enum Away {
-    Killed,
-    CtrlC,
-    Held,
+    master.end_by(SIGTERM).expect(0);
 }
 
 #[test]
@@ -136,35 +127,29 @@ fn whatever_ends_a_command_in_mid_motion_stops_its_axis_and_takes_its_power() {
     let _master = master(&config, &["--allow-control"]);
     let path = socket_of(&config);
     await_axis(&mut watch(&path), online);
-    for away in [Away::Killed, Away::CtrlC, Away::Held] {
-        let under_way = long_move(&config, &path);
-        match away {
-            Away::Killed => under_way.kill(),
-            Away::CtrlC => {
-                under_way.signal(SIGINT);
-                let ended = under_way.end();
-                if !is_late(&ended) {
-                    ended.failed(&["interrupted; axis d0: power off at "]);
-                }
-            }
-            Away::Held => {
-                under_way.hold();
-                await_axis(&mut watch(&path), is_left);
-                under_way.signal(SIGCONT);
-                under_way.end().failed(&["this command was silent for too long"]);
-            }
-        }
+    let is_left_at_rest = || {
         await_axis(&mut watch(&path), is_left);
         assert_rest(&mut watch(&path));
-        assert!(is_left(&seen(&mut watch(&path))), "{away:?}");
+        assert!(is_left(&seen(&mut watch(&path))));
+    };
+    long_move(&config, &path).kill();
+    is_left_at_rest();
+    let interrupted = long_move(&config, &path).end_by(SIGINT);
+    if !is_late(&interrupted) {
+        interrupted.failed(&["interrupted; axis d0: power off at "]);
     }
+    is_left_at_rest();
+    let held = long_move(&config, &path);
+    held.hold();
+    is_left_at_rest();
+    held.end_by(SIGCONT).failed(&["this command was silent for too long"]);
+    is_left_at_rest();
     // A jog is held by its process alone.
     ready(&config);
     let jog = axis(&config, &format!("d0 jog {SPEED} --for 10min"));
     await_axis(&mut watch(&path), moves);
     jog.kill();
-    await_axis(&mut watch(&path), is_left);
-    assert_rest(&mut watch(&path));
+    is_left_at_rest();
     // A stop from elsewhere: the axis stays enabled, and its command is not done.
     let under_way = long_move(&config, &path);
     let stop = axis(&config, "d0 stop").end();
@@ -216,8 +201,7 @@ fn a_command_that_is_refused_says_in_a_line_what_to_do() {
     for words in ["d0 enable", "d0 stop"] {
         refused(words, &["start it with `fieldbeat run CONFIG --allow-control`"]);
     }
-    closed.signal(SIGTERM);
-    closed.end();
+    closed.end_by(SIGTERM);
 
     // The state of the axis.
     let open = master(&config, &["--allow-control"]);
@@ -329,8 +313,7 @@ fn alone_a_command_is_the_master_and_ends_with_power_off() {
     await_axis(&mut watch(&path), moves);
     // Another command finds this one.
     axis(&config, "d0 disable").end().failed(&["fieldbeat axis (pid ", "operates this master"]);
-    under_way.signal(SIGINT);
-    let ended = under_way.end();
+    let ended = under_way.end_by(SIGINT);
     if !is_late(&ended) {
         ended.expect(1);
         assert!(ended.err.contains("interrupted; axis d0: power off at "), "{ended:?}");
@@ -345,26 +328,4 @@ fn a_drive_that_cannot_be_stopped_is_named_by_the_command_that_was_its_master() 
     // It turns when the master comes, which stops it, and takes no stop.
     let ended = axis(&config, "feeder stop").end();
     assert_left(&ended, &["feeder"]);
-}
-
-#[test]
-fn a_moons_drive_is_homed_and_moved_by_commands() {
-    let machine = Machine::new(177);
-    let config = wires::moons(&machine);
-    let _sim = simulation(&config);
-    let _master = master(&config, &["--allow-control"]);
-    socket_of(&config);
-    script(
-        &config,
-        &[
-            ("feeder enable", "axis feeder: OperationEnabled"),
-            ("feeder home", "axis feeder: OperationEnabled at "),
-            ("feeder move-to 20", "axis feeder: OperationEnabled at 20 mm"),
-            ("feeder move-by -7.5", "axis feeder: OperationEnabled at 12.5 mm"),
-            ("feeder disable", "axis feeder: power off at 12.5 mm"),
-        ],
-    );
-    axis(&config, "feeder jog 5 --for 1s --enable")
-        .end()
-        .failed(&["axis feeder does not jog: its jog_deadman is off"]);
 }

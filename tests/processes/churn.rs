@@ -123,8 +123,7 @@ fn drives_that_die_each_second_cost_the_master_neither_memory_nor_descriptors() 
     // They come back, for good. A line needs a loop that is never late for that, which not every host has.
     let _drives = simulation(&config);
     await_datagrams_and_connections(&config);
-    master.signal(SIGTERM);
-    let ended = master.end();
+    let ended = master.end_by(SIGTERM);
     let summary = ended.json();
     assert_sums(&summary);
     let drives = summary["drives"].as_array().unwrap();

@@ -54,8 +54,7 @@ fn what_a_killed_controller_left_moving_the_next_master_stops_even_if_it_is_ende
     let next = online(&config, &["--json"]);
     // Down its ramp, most likely.
     let found = [0, 1].map(|index| onlooker.look(machine.drive(index)));
-    next.signal(SIGINT);
-    let ended = next.end();
+    let ended = next.end_by(SIGINT);
     ended.expect(0);
     for index in 0..2 {
         let (left, found) = (left[index], found[index]);
@@ -82,8 +81,7 @@ fn what_a_killed_controller_left_moving_can_be_left_alone_and_is_named_at_the_en
     let left = onlooker.look(machine.drive(0));
     let next = online(&config, &["--json"]);
     let found = onlooker.look(machine.drive(0));
-    next.signal(SIGINT);
-    let ended = next.end();
+    let ended = next.end_by(SIGINT);
     assert_left(
         &ended,
         &["drive d0 still moves at the end", "drive d1 still moves", "on_found_running = \"refuse\""],

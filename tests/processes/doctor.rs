@@ -160,7 +160,6 @@ fn a_mistake_is_one_line_and_a_core_that_is_not_there_is_no_mistake() {
     assert!(ended.out.lines().last().unwrap().starts_with("not ready: "), "{}", ended.out);
 }
 
-/// The command that it gives fixes what it found, and the other one takes it back.
 #[test]
 #[ignore = "needs root and iproute2: network namespaces"]
 fn what_it_advises_can_be_done_and_undone() {

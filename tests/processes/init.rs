@@ -271,42 +271,28 @@ fn patient(file: &Path) -> PathBuf {
     path
 }
 
-/// Writes a file by hand, starts its drives, finds them again where the protocol can, and runs their master with what
+/// Writes a file by hand, starts its drives, finds them again and runs their master with what
 /// was found.
-fn starts_its_drives(
-    test: u8,
-    protocol: &str,
-    bus: impl Fn(&Machine) -> String,
-    found: Option<(&str, &str)>,
-) {
+fn starts_its_drives(test: u8, protocol: &str, bus: impl Fn(&Machine) -> String, search: &str, says: &str) {
     let machine = Machine::new(test);
     let (by_hand, by_search) = (machine.path("hand.toml"), machine.path("found.toml"));
     let bus = bus(&machine);
     let rest = "\n".repeat(30);
     init(&by_hand, &["--protocol", protocol], format!("{bus}no\n2\n{rest}")).expect(0);
     let simulated = simulation(&patient(&by_hand));
-    let mut run_by = by_hand;
-    if let Some((search, says)) = found {
-        let search = search.replace("NET", machine.ip(0).to_string().trim_end_matches(".0"));
-        let ended = init(&by_search, &["--protocol", protocol], format!("{bus}{search}{rest}"));
-        ended.expect(0);
-        assert_eq!(
-            ended.out.lines().filter(|line| line.starts_with("  ") && line.contains(says)).count(),
-            2,
-            "{}",
-            ended.out
-        );
-        // By what the drives are known is found only by a search.
-        let identity = ["product", "serial", "# required product", "# required serial"];
-        let is_else = |line: &&str| !identity.iter().any(|key| line.starts_with(key));
-        let found = fs::read_to_string(&by_search).unwrap();
-        let found: Vec<&str> = found.lines().filter(is_else).collect();
-        assert_eq!(found, fs::read_to_string(&run_by).unwrap().lines().collect::<Vec<_>>());
-        run_by = by_search;
-    }
-    end_once_online(master(&patient(&run_by), &[])).expect(0);
-    simulated.signal(SIGINT);
-    simulated.end().expect(0);
+    let search = search.replace("NET", machine.ip(0).to_string().trim_end_matches(".0"));
+    let ended = init(&by_search, &["--protocol", protocol], format!("{bus}{search}{rest}"));
+    ended.expect(0);
+    let named = ended.out.lines().filter(|line| line.starts_with("  ") && line.contains(says));
+    assert_eq!(named.count(), 2, "{}", ended.out);
+    // By what the drives are known is found only by a search.
+    let identity = ["product", "serial", "# required product", "# required serial"];
+    let is_else = |line: &&str| !identity.iter().any(|key| line.starts_with(key));
+    let found = fs::read_to_string(&by_search).unwrap();
+    let found: Vec<&str> = found.lines().filter(is_else).collect();
+    assert_eq!(found, fs::read_to_string(&by_hand).unwrap().lines().collect::<Vec<_>>());
+    end_once_online(master(&patient(&by_search), &[])).expect(0);
+    simulated.end_by(SIGINT).expect(0);
 }
 
 fn bind(machine: &Machine) -> String {
@@ -315,16 +301,15 @@ fn bind(machine: &Machine) -> String {
 
 #[test]
 fn linmots_are_probed_and_run() {
-    starts_its_drives(250, "linudp-v2", bind, Some(("yes\nNET.10-12\n", "a LinMot at")));
+    starts_its_drives(250, "linudp-v2", bind, "yes\nNET.10-12\n", "a LinMot at");
 }
 
 #[test]
 #[ignore = "needs root: simulates drives at the port of Modbus, which is below 1024"]
 fn unidrives_are_probed_and_run() {
-    starts_its_drives(251, "modbus-tcp", bind, Some(("yes\nNET.10-12\n", "a Unidrive at")));
+    starts_its_drives(251, "modbus-tcp", bind, "yes\nNET.10-12\n", "a Unidrive at");
 }
 
-/// Other Modbus servers are named, and left out.
 #[test]
 fn a_unidrive_is_told_from_other_modbus_servers() {
     let machine = Machine::new(236);
@@ -358,14 +343,13 @@ fn a_unidrive_is_told_from_other_modbus_servers() {
     let text = fs::read_to_string(&file).unwrap();
     assert_eq!(text.matches("[[bus.drive]]").count(), 1, "{text}");
     assert!(text.contains(&format!("address = \"{drive}\"")), "{text}");
-    simulated.signal(SIGINT);
-    simulated.end().expect(0);
+    simulated.end_by(SIGINT).expect(0);
 }
 
 #[test]
 fn kollmorgens_are_found_and_run() {
     let local = |_: &Machine| format!("local:init-{}\n", std::process::id());
-    starts_its_drives(252, "ethercat", local, Some(("yes\n", "at position")));
+    starts_its_drives(252, "ethercat", local, "yes\n", "at position");
 }
 
 /// Another slave is named, and the drive behind it has its position.
@@ -386,17 +370,16 @@ fn a_terminal_is_listed_and_left_out() {
     let text = fs::read_to_string(&file).unwrap();
     assert!(text.contains("position = 1\n") && !text.contains("bus.device"), "{text}");
     check(&file).expect(0);
-    simulated.signal(SIGINT);
-    simulated.end().expect(0);
+    simulated.end_by(SIGINT).expect(0);
 }
 
 #[test]
 fn moons_drives_are_found_and_run() {
-    starts_its_drives(253, "ethernet-ip", bind, Some(("yes\n", "STF10-IP at")));
+    starts_its_drives(253, "ethernet-ip", bind, "yes\n", "STF10-IP at");
 }
 
 #[test]
 fn lenzes_are_found_and_run() {
     let local = |_: &Machine| format!("local:init-dp-{}\n\n", std::process::id());
-    starts_its_drives(254, "profibus-dp", local, Some(("yes\n", "with the ident number")));
+    starts_its_drives(254, "profibus-dp", local, "yes\n", "with the ident number");
 }

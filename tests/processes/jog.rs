@@ -3,7 +3,7 @@
 
 use std::fs::File;
 use std::io::{Read, Write};
-use std::os::fd::{AsFd, AsRawFd, FromRawFd};
+use std::os::fd::{AsFd, AsRawFd};
 use std::os::unix::process::{CommandExt, ExitStatusExt};
 use std::path::Path;
 use std::process::{Child, Command, ExitStatus};
@@ -13,6 +13,7 @@ use std::thread::{JoinHandle, sleep};
 use std::time::Duration;
 
 use fieldbeat_control::Operator;
+use fieldbeat_testing::Pty;
 use nix::poll::{PollFd, PollFlags, poll};
 
 use super::operate::{SPEED, assert_rest, await_axis, config, is_left, moves, online, seen, socket_of};
@@ -51,18 +52,10 @@ impl Panel {
 
     /// The same in a terminal that answers so.
     fn start_in(answer: Answer, config: &Path, rest: &[&str]) -> Panel {
-        let mut name = [0; 64];
-        // SAFETY: plain numbers; the descriptor is new and nobody else's; the kernel writes at most 64 bytes, with a
-        // zero at their end, and reads a live value.
-        let (end, path) = unsafe {
-            let end = libc::posix_openpt(libc::O_RDWR | libc::O_NOCTTY | libc::O_CLOEXEC);
-            let end = File::from_raw_fd(end);
-            assert_eq!((libc::grantpt(end.as_raw_fd()), libc::unlockpt(end.as_raw_fd())), (0, 0));
-            assert_eq!(libc::ptsname_r(end.as_raw_fd(), name.as_mut_ptr(), name.len()), 0);
-            let size = libc::winsize { ws_row: 24, ws_col: 80, ws_xpixel: 0, ws_ypixel: 0 };
-            assert_eq!(libc::ioctl(end.as_raw_fd(), libc::TIOCSWINSZ, &raw const size), 0);
-            (end, std::ffi::CStr::from_ptr(name.as_ptr()).to_str().unwrap().to_owned())
-        };
+        let Pty { end, path } = Pty::new();
+        let size = libc::winsize { ws_row: 24, ws_col: 80, ws_xpixel: 0, ws_ypixel: 0 };
+        // SAFETY: the kernel reads a live value.
+        assert_eq!(unsafe { libc::ioctl(end.as_raw_fd(), libc::TIOCSWINSZ, &raw const size) }, 0);
         let open = || File::options().read(true).write(true).open(&path).unwrap();
         let mut command = Command::new(PROGRAM);
         command.arg("jog").arg(config).args(rest).env("TERM", "xterm-256color");
@@ -229,22 +222,37 @@ fn assert_left_off(text: &str) {
 }
 
 /// How somebody goes away while the axis moves.
-#[derive(Clone, Copy, Debug)]
-enum Away {
-    LetsGo,
-    LosesFocus,
-    Quits,
-    CtrlC,
-    HangsUp,
-    Killed,
-    Terminated,
-    Stopped,
+struct Away {
+    how: &'static str,
+    goes: fn(&mut Panel),
+    /// The panel goes on.
+    stays: bool,
 }
+
+impl Away {
+    const fn ends(how: &'static str, goes: fn(&mut Panel)) -> Away {
+        Away { how, goes, stays: false }
+    }
+
+    const fn stays(how: &'static str, goes: fn(&mut Panel)) -> Away {
+        Away { how, goes, stays: true }
+    }
+}
+
+const WAYS: [Away; 8] = [
+    Away::stays("lets go", |_| {}),
+    Away::stays("loses focus", |panel| panel.press(b"\x1b[O")),
+    Away::ends("quits", |panel| panel.press(b"q")),
+    Away::ends("Ctrl-C", |panel| panel.press(b"\x03")),
+    Away::ends("hangs up", Panel::hang_up),
+    Away::ends("killed", |panel| panel.signal(libc::SIGKILL)),
+    Away::ends("terminated", |panel| panel.signal(libc::SIGTERM)),
+    Away::stays("stopped", |panel| panel.signal(libc::SIGSTOP)),
+];
 
 #[test]
 #[ignore = "needs the feature jog"]
 fn whatever_ends_a_held_key_ends_the_motion() {
-    use Away::*;
     let machine = Machine::new(155);
     let config = config(&machine, "panel");
     let _drives = serve(&config);
@@ -252,7 +260,7 @@ fn whatever_ends_a_held_key_ends_the_motion() {
     let path = socket_of(&config);
     let mut watcher = Operator::remote(&path).unwrap();
     await_axis(&mut watcher, online);
-    for away in [LetsGo, LosesFocus, Quits, CtrlC, HangsUp, Killed, Terminated, Stopped] {
+    for Away { how, goes, stays } in WAYS {
         // All stands, and somebody else may take over.
         await_axis(&mut watcher, |state| {
             is_left(state) && state.axes.iter().all(|axis| axis.commands.is_empty())
@@ -261,60 +269,29 @@ fn whatever_ends_a_held_key_ends_the_motion() {
         panel.await_text("the master (pid");
         panel.enable(&mut watcher);
         panel.hold_until_moving(&mut watcher);
-        let ends = match away {
-            LetsGo => false,
-            LosesFocus => {
-                panel.press(b"\x1b[O");
-                false
-            }
-            Quits => {
-                panel.press(b"q");
-                true
-            }
-            CtrlC => {
-                panel.press(b"\x03");
-                true
-            }
-            HangsUp => {
-                panel.hang_up();
-                true
-            }
-            Killed => {
-                panel.signal(libc::SIGKILL);
-                true
-            }
-            Terminated => {
-                panel.signal(libc::SIGTERM);
-                true
-            }
-            Stopped => {
-                panel.signal(libc::SIGSTOP);
-                false
-            }
-        };
+        goes(&mut panel);
         await_axis(&mut watcher, |state| state.jog.is_none() && !moves(state));
-        if matches!(away, Stopped) {
+        if how == "stopped" {
             // What was typed meanwhile moves nothing.
             await_axis(&mut watcher, is_left);
             panel.press(&RIGHT.repeat(100));
             panel.signal(libc::SIGCONT);
         }
         assert_rest(&mut watcher);
-        if !ends {
+        if stays {
             panel.press(b"q");
         }
         let (status, text) = panel.end();
         await_axis(&mut watcher, is_left);
-        if matches!(away, Killed) {
-            assert_eq!(status.signal(), Some(libc::SIGKILL));
-            continue;
-        }
-        assert_eq!(status.code(), Some(if matches!(away, HangsUp) { 1 } else { 0 }), "{away:?}: {text}");
-        if matches!(away, HangsUp) {
+        match how {
+            "killed" => assert_eq!(status.signal(), Some(libc::SIGKILL)),
             // It has nobody to say it to.
-            continue;
+            "hangs up" => assert_eq!(status.code(), Some(1), "{text}"),
+            _ => {
+                assert_eq!(status.code(), Some(0), "{how}: {text}");
+                assert_left_off(&text);
+            }
         }
-        assert_left_off(&text);
     }
 }
 
@@ -433,8 +410,7 @@ fn a_panel_that_cannot_be_says_why_in_one_line_and_gives_the_terminal_back() {
     assert_eq!(status.code(), Some(1), "{text}");
     assert!(text.contains("start it with `fieldbeat run CONFIG --allow-control`"), "{text}");
     assert!(!text.contains("\x1b[?1049h"), "{text}");
-    closed.signal(libc::SIGTERM);
-    closed.end();
+    closed.end_by(libc::SIGTERM);
     // One that dies in the middle.
     let open = master(&config, &["--allow-control"]);
     socket_of(&config);

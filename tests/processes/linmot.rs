@@ -9,7 +9,7 @@ use libc::{SIGCONT, SIGINT, SIGSTOP};
 
 use super::support::onlooker::Onlooker;
 use super::support::{Ended, LONG, Machine, Program, checkout, drive, until};
-use super::{ask, asking, assert_silent, finish, online, serve, simulation, socket};
+use super::{ask, asking, assert_silent, finish, online, serve, simulation, socket, with_drives};
 
 const CURVE: &str = "rt-config/linmot-curve.csv";
 const TABLE: &str = "rt-config/linmot-table.toml";
@@ -45,9 +45,7 @@ fn under_way(machine: &Machine, config: &Path, drive: &str) -> Program {
 
 #[test]
 fn what_goes_to_the_drive_comes_back_byte_for_byte() {
-    let machine = Machine::new(90);
-    let config = machine.plain(1);
-    let _sim = simulation(&config);
+    let (machine, config, _sim) = with_drives(90, 1);
     let (of_curve, of_table) =
         (curve_file::load(checkout(CURVE)).unwrap(), table_file::load(checkout(TABLE)).unwrap());
     // As this program writes it, which is what it reads.
@@ -146,8 +144,7 @@ fn a_transfer_that_is_broken_off_leaves_what_was_there_or_says_what_is_left() {
     put(&config, &curve(&machine, "small.csv", 4, 5), "").expect(0);
     let small = machine.path("small.csv");
     let putting = under_way(&machine, &config, "d0");
-    putting.signal(SIGINT);
-    let ended = putting.end();
+    let ended = putting.end_by(SIGINT);
     assert_eq!(
         (ended.expect(1).out.as_str(), ended.err.matches("was interrupted").count()),
         ("", 1),
@@ -178,8 +175,7 @@ fn a_transfer_that_is_broken_off_leaves_what_was_there_or_says_what_is_left() {
     putting.signal(SIGSTOP);
     let summary = finish(master);
     assert!(["d0", "d1"].iter().all(|name| drive(&summary, name)["losses"] == 0), "{summary}");
-    putting.signal(SIGCONT);
-    let ended = putting.end();
+    let ended = putting.end_by(SIGCONT);
     let last = ended.expect(1).err.lines().last().unwrap();
     assert!(last.contains("drive d0: ") && last.contains("the master has ended"), "{last}");
     // What stands in the drive's RAM is half of it, and it says how to be rid of that.
@@ -189,29 +185,21 @@ fn a_transfer_that_is_broken_off_leaves_what_was_there_or_says_what_is_left() {
 
 #[test]
 fn what_is_saved_is_there_after_a_restart_though_the_drive_was_silent_meanwhile() {
-    // Alone, with a link that is lost on the way; and beside a master that is patient.
-    for (number, bucket, beside) in [(96, "700ms", false), (97, "10s", true)] {
-        let machine = Machine::new(number);
-        let defaults = format!(
-            "health = {{ bucket = \"{bucket}\", leak = 1 }}\nsimulate = {{ flash = \"silent\", flash_time = \
-             \"2s\" }}"
-        );
-        let config = machine.config("m.toml", 1, "", &defaults);
-        let _sim = simulation(&config);
-        let master = beside.then(|| online(&config, &["--json"]));
-        let said = put(&config, &checkout(CURVE), "--save");
-        assert!(said.expect(0).out.ends_with("drive d0: its curves are in flash; home it\n"), "{said:?}");
-        assert!(said.err.contains("leave its power on"), "{said:?}");
-        // This one is in RAM only.
-        put(&config, &curve(&machine, "ram.csv", 4, 5), "").expect(0);
-        assert_eq!(curves(&config, "d0").json(), serde_json::json!([1, 4]));
-        ask("linmot restart", &config, "d0").expect(0);
-        let back = || curves(&config, "d0").out == "[1]\n";
-        assert!(until(LONG, back), "{:?}", curves(&config, "d0"));
-        if let Some(master) = master {
-            assert_eq!(drive(&finish(master), "d0")["losses"], 0);
-        }
-    }
+    let machine = Machine::new(96);
+    // Its link is lost on the way.
+    let defaults = "health = { bucket = \"700ms\", leak = 1 }\nsimulate = { flash = \"silent\", flash_time = \
+                    \"2s\" }";
+    let config = machine.config("m.toml", 1, "", defaults);
+    let _sim = simulation(&config);
+    let said = put(&config, &checkout(CURVE), "--save");
+    assert!(said.expect(0).out.ends_with("drive d0: its curves are in flash; home it\n"), "{said:?}");
+    assert!(said.err.contains("leave its power on"), "{said:?}");
+    // This one is in RAM only.
+    put(&config, &curve(&machine, "ram.csv", 4, 5), "").expect(0);
+    assert_eq!(curves(&config, "d0").json(), serde_json::json!([1, 4]));
+    ask("linmot restart", &config, "d0").expect(0);
+    let back = || curves(&config, "d0").out == "[1]\n";
+    assert!(until(LONG, back), "{:?}", curves(&config, "d0"));
 }
 
 #[test]
@@ -248,8 +236,7 @@ fn a_motion_command_has_run_when_it_says_so_and_is_no_success_if_it_was_interrup
     let moving = command(&go("position=399 velocity=5"));
     let onlooker = Onlooker::new(&machine);
     onlooker.await_sight(machine.drive(0), |sight| sight.operating && sight.moving);
-    moving.signal(SIGINT);
-    let ended = moving.end();
+    let ended = moving.end_by(SIGINT);
     assert_eq!(ended.expect(1).out, "", "{ended:?}");
     let last = ended.err.lines().last().unwrap();
     assert_eq!(last, "fieldbeat: drive d0: interrupted; ramped down and switched off");

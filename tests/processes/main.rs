@@ -2,35 +2,6 @@
 //! hold it wrong. Nothing here needs a privilege, and nothing asserts how fast anything is: the period is one that this
 //! host carries, tolerances are seconds, and a test waits for what it needs.
 //!
-//! | file | what |
-//! |---|---|
-//! | `program` | what a user runs, and what it prints |
-//! | `signals` | Ctrl-C and its like, at any moment; Ctrl-Z |
-//! | `init` | a first configuration by questions, and the drives that it finds |
-//! | `links` | drives that are lost, come back, or were never there |
-//! | `churn` | drives that die and come back for long: memory and descriptors |
-//! | `deaths` | controllers that die in mid-motion, and who comes after them |
-//! | `hosts` | the ends of programs with a master of their own |
-//! | `stuck` | loops whose cycle does not end, and the watch that stops their drives |
-//! | `mistakes` | wrong input: configurations, arguments, addresses that are taken |
-//! | `masters` | two masters on one segment or one drive |
-//! | `unmatched` | datagrams of people who have no business here |
-//! | `telling` | what a master tells while it runs: control socket, black box, service manager |
-//! | `replay` | a recording with the wire, and the run repeated from it |
-//! | `report` | the directory that a run leaves behind, and all that keeps it from being written |
-//! | `recordings` | recordings of a run, and what `export` makes of them |
-//! | `soak` | soak tests: checkpoints, what is resumed, criteria that fail |
-//! | `params` | parameters of the drives, alone and beside a running master |
-//! | `linmot` | curves, command table and motion commands of a LinMot drive |
-//! | `wires` | drives of each other protocol: how they come, are asked, are lost and come back |
-//! | `scans` | the scans of a line, of devices and of a wire |
-//! | `operate` | masters that let others operate their axes, and those who do |
-//! | `axis` | commands of single axes from the shell |
-//! | `jog` | the panel in a pseudo-terminal |
-//! | `metrics` | its numbers meanwhile, over HTTP, and clients that mean no good |
-//! | `rights` | what an ordinary user may not do, and is told |
-//! | `doctor` | what the program says of this host |
-//!
 //! Each test owns 127.x.n.0/24, by the number n of its machine, which is unique in all of these files.
 
 mod axis;
@@ -67,13 +38,14 @@ mod wires;
 use std::ffi::OsStr;
 use std::net::{SocketAddrV4, UdpSocket};
 use std::os::unix::process::CommandExt;
+use std::path::PathBuf;
 use std::process::Command;
 use std::time::Duration;
 
 use fieldbeat::sim::server::SimServer;
 use serde_json::Value;
 use support::{
-    Ended, LONG, PROGRAM, Program, UNJUDGED, assert_sums, bound, period, served, simulated, until,
+    Ended, LONG, Machine, PROGRAM, Program, UNJUDGED, assert_sums, bound, period, served, simulated, until,
 };
 
 const MS: Duration = Duration::from_millis(1);
@@ -108,6 +80,14 @@ fn patient_cycle() -> String {
 
 fn serve(config: &std::path::Path) -> SimServer {
     served(|| simulated(config))
+}
+
+/// A machine with its configuration, and so many drives that are there.
+fn with_drives(test: u8, drives: usize) -> (Machine, PathBuf, SimServer) {
+    let machine = Machine::new(test);
+    let config = machine.plain(drives);
+    let sim = serve(&config);
+    (machine, config, sim)
 }
 
 fn master(config: &std::path::Path, arguments: &[&str]) -> Program {
@@ -187,8 +167,7 @@ fn await_online(config: &std::path::Path) {
 #[track_caller]
 fn end_once_online(mut master: Program) -> Ended {
     master.await_text("all drives online");
-    master.signal(libc::SIGINT);
-    master.end()
+    master.end_by(libc::SIGINT)
 }
 
 /// Ends a master once each of its drives has answered so often that a plot shows a curve of it, and all are compared.
@@ -198,8 +177,7 @@ fn end_once_measured(master: Program, config: &std::path::Path) -> Ended {
         let drives = summary["drives"].as_array();
         drives.is_some_and(|all| all.iter().all(|drive| drive["rtt_ns"]["count"].as_u64() > Some(40)))
     });
-    master.signal(libc::SIGINT);
-    master.end()
+    master.end_by(libc::SIGINT)
 }
 
 fn assert_powered_off(summary: &Value) {

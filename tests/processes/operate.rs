@@ -5,9 +5,7 @@ use std::os::unix::net::UnixStream;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use fieldbeat_control::{
-    AskError, Ended, HOLD_EVERY, OperateError, OperationState, Operator, Order, Watched,
-};
+use fieldbeat_control::{AskError, Ended, OperateError, OperationState, Operator, Order, Watched};
 use libc::SIGTERM;
 
 use super::support::{LONG, Machine, drive, until};
@@ -124,74 +122,6 @@ fn order(operator: &mut Operator, name: &str, order: Order) -> u64 {
     ordered.unwrap()
 }
 
-/// Jogs axis 0 until it moves: a host that is late ends the jog as the rules say, and it is begun again.
-pub fn jog_until_moving(operator: &mut Operator, watcher: &mut Operator) -> u64 {
-    let mut number = None;
-    let moving = || {
-        let held = number.is_some_and(|number| operator.hold(number).is_ok());
-        if !held {
-            number = operator.jog(0, SPEED).ok();
-        }
-        std::thread::sleep(HOLD_EVERY);
-        held && moves(&seen(watcher))
-    };
-    assert!(until(LONG, moving), "it never moves");
-    number.unwrap()
-}
-
-/// How the places of clients are shared is held by the tests of the socket.
-#[test]
-fn of_operators_there_is_one_and_its_axes_rest_without_power_when_it_is_silent_or_has_ended() {
-    let machine = Machine::new(150);
-    let config = config(&machine, "held");
-    let _drives = serve(&config);
-    let _master = master(&config, &["--allow-control"]);
-    let path = socket_of(&config);
-    let [mut first, mut second, mut watcher] = [(); 3].map(|()| Operator::remote(&path).unwrap());
-    await_axis(&mut watcher, online);
-    // Whoever is held up by the host for so long that it counts as gone comes again.
-    let named = "first operates this master: end that first";
-    let refused = until(LONG, || {
-        let is_taken = first.take("first").is_ok();
-        is_taken && second.take("second").is_err_and(|why| why.to_string() == named)
-    });
-    assert!(refused, "{:?}", second.take("second"));
-    drop((first, second));
-
-    let mut first = operator(&path, "first");
-    let number = jog_until_moving(&mut first, &mut watcher);
-    // Silent: the jog, and then the operator. What comes for it later does not move.
-    await_axis(&mut watcher, |state| state.jog.is_none());
-    assert_rest(&mut watcher);
-    await_axis(&mut watcher, is_left);
-    for _ in 0..20 {
-        let late = first.hold(number).unwrap_err();
-        assert!(matches!(&late, OperateError::Refused(why) if why.contains("silent for too long")), "{late}");
-    }
-    assert!(is_left(&seen(&mut watcher)));
-    drop(first);
-
-    // Ended in mid-motion: in a jog, and in a step, which ends by itself only after minutes.
-    let mut second = operator(&path, "second");
-    jog_until_moving(&mut second, &mut watcher);
-    drop(second);
-    await_axis(&mut watcher, is_left);
-    let mut third = operator(&path, "third");
-    assert_eq!(seen(&mut watcher).operator.as_deref(), Some("third"));
-    third.command(0, Order::step(2_000.0, SPEED)).unwrap();
-    await_axis(&mut third, moves);
-    drop(third);
-    await_axis(&mut watcher, is_left);
-    assert_rest(&mut watcher);
-
-    let streams: Vec<_> = (0..12).map(|_| Watched::open(&path)).collect();
-    let (watched, refused): (Vec<_>, Vec<_>) = streams.into_iter().partition(Result::is_ok);
-    assert_eq!(watched.len(), 4);
-    let why = "4 others watch this master already; end one of them";
-    assert!(refused.iter().all(|one| matches!(one, Err(AskError::Refused(text)) if text == why)));
-    ask("status", &config, "").expect(0);
-}
-
 #[test]
 fn a_master_that_was_not_told_so_lets_nobody_operate_and_one_that_has_ended_is_named() {
     let machine = Machine::new(154);
@@ -205,8 +135,14 @@ fn a_master_that_was_not_told_so_lets_nobody_operate_and_one_that_has_ended_is_n
     };
     refused(Operator::remote(&path).unwrap().take("x").unwrap_err());
     refused(Operator::remote(&path).unwrap().stop().unwrap_err());
-    closed.signal(SIGTERM);
-    closed.end();
+    // Those who watch are so many.
+    let streams: Vec<_> = (0..12).map(|_| Watched::open(&path)).collect();
+    let (watched, others): (Vec<_>, Vec<_>) = streams.into_iter().partition(Result::is_ok);
+    assert_eq!(watched.len(), 4);
+    let why = "4 others watch this master already; end one of them";
+    assert!(others.iter().all(|one| matches!(one, Err(AskError::Refused(text)) if text == why)));
+    ask("status", &config, "").expect(0);
+    closed.end_by(SIGTERM);
     let open = master(&config, &["--allow-control"]);
     let mut operator = operator(&socket_of(&config), "first");
     open.kill();
@@ -247,8 +183,7 @@ fn a_run_fails_by_a_fault_that_its_operator_left_and_not_by_one_that_was_reset()
             order(&mut operator, "panel", Order::Reset);
             await_axis(&mut operator, |state| state.axes[0].stopped.is_none());
         }
-        master.signal(SIGTERM);
-        let ended = master.end();
+        let ended = master.end_by(SIGTERM);
         let stopped = |name: &str| drive(&ended.json(), name)["stopped"].clone();
         let page = std::fs::read_to_string(Path::new(report[1]).join("index.html")).unwrap();
         assert_eq!(page.contains("stopped: d0 (drive fault, fault 0x"), !is_reset);

@@ -10,7 +10,7 @@ use serde_json::{Value, json};
 use super::support::{
     Ended, Machine, NOBODY, Program, as_ordinary_user, assert_sums, checkout, is_root, run,
 };
-use super::{ask, asking, assert_silent, online, serve, simulation, socket};
+use super::{ask, asking, assert_silent, online, serve, simulation, socket, with_drives};
 
 /// A value of what the program says of drive `d0` with `--json`.
 fn value(ended: &Ended, key: &str) -> Value {
@@ -19,9 +19,7 @@ fn value(ended: &Ended, key: &str) -> Value {
 
 #[test]
 fn every_value_of_a_parameter_is_read_under_every_name_and_a_refusal_comes_with_its_reason() {
-    let machine = Machine::new(80);
-    let config = machine.plain(1);
-    let _sim = serve(&config);
+    let (_machine, config, _sim) = with_drives(80, 1);
     for (address, text) in [
         ("0x20A8", "7695 (0x1E0F)"),
         ("0x20a8.ram", "7695 (0x1E0F)"),
@@ -59,9 +57,7 @@ fn every_value_of_a_parameter_is_read_under_every_name_and_a_refusal_comes_with_
 
 #[test]
 fn what_is_written_holds_as_long_as_its_memory_or_until_the_defaults_are_set() {
-    let machine = Machine::new(81);
-    let config = machine.plain(1);
-    let _sim = simulation(&config);
+    let (_machine, config, _sim) = with_drives(81, 1);
     let get = |address: &str| value(&ask("param get", &config, &format!("d0 {address} --json")), "value");
     let set = |words: &str| value(&ask("param set", &config, &format!("d0 {words} --json")), "value");
 
@@ -110,9 +106,7 @@ fn what_is_written_holds_as_long_as_its_memory_or_until_the_defaults_are_set() {
 
 #[test]
 fn the_lists_say_what_there_is_how_it_is_used_and_what_was_changed() {
-    let machine = Machine::new(82);
-    let config = machine.plain(1);
-    let _sim = simulation(&config);
+    let (_machine, config, _sim) = with_drives(82, 1);
     let list = |options: &str| ask("param list", &config, &format!("d0 {options}"));
     let rows =
         |options: &str| list(&format!("{options} --json")).expect(0).json().as_array().unwrap().clone();
@@ -156,8 +150,7 @@ fn an_interrupted_list_is_none() {
     let mut listing = asking("param list", &config, "d0 --json --values");
     // It tells every few seconds how far it is.
     listing.await_text("fieldbeat: list ");
-    listing.signal(SIGINT);
-    let ended = listing.end();
+    let ended = listing.end_by(SIGINT);
     assert_eq!(ended.expect(1).out, "");
     let last = ended.err.lines().last().unwrap();
     assert!(last.contains("drive d0: ") && last.contains("its parameters was interrupted"), "{last}");
@@ -274,8 +267,7 @@ fn a_drive_that_nobody_answers_for_is_told_after_a_while() {
     // Who is tired of waiting is told that nothing has happened.
     let waiting = asking("param set", &config, "d0 monitor-source-1 1");
     waiting.await_handler(SIGINT);
-    waiting.signal(SIGINT);
-    waiting.end().failed(&["interrupted; nothing was written"]);
+    waiting.end_by(SIGINT).failed(&["interrupted; nothing was written"]);
     // Only the drive that was meant was asked.
     assert_silent(&silent);
 }
@@ -302,8 +294,7 @@ fn a_master_that_may_not_be_asked_is_named() {
     // Those of runs that were killed lie there, too.
     own.for_each(|socket| fs::set_permissions(socket, PermissionsExt::from_mode(0o000)).unwrap());
     ordinary(&["param", "get", path, "d0", "0x20A8"]).end().failed(&["belongs to another user", "use sudo"]);
-    master.signal(SIGTERM);
-    master.end().expect(0);
+    master.end_by(SIGTERM).expect(0);
 }
 
 #[test]

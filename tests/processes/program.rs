@@ -175,8 +175,7 @@ fn simulation_and_master_are_two_processes() {
     for part in ["planned", "wake-up latency", "d0 ", "d2 ", "host: "] {
         assert!(ended.out.contains(part), "no {part}: {}", ended.out);
     }
-    sim.signal(SIGTERM);
-    let ended = sim.end();
+    let ended = sim.end_by(SIGTERM);
     ended.expect(0);
     assert!(ended.out.lines().last().unwrap().ends_with("answered"), "{ended:?}");
 }

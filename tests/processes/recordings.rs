@@ -9,7 +9,7 @@ use libc::{SIGINT, SIGUSR1};
 use serde_json::Value;
 
 use super::support::{LONG, Machine, PROGRAM, Program, drive, run, until};
-use super::{await_status, end_once_measured, finish, limit_files, master, serve};
+use super::{await_status, end_once_measured, finish, limit_files, master, serve, with_drives};
 
 /// All that can be read, and what is wrong with the rest.
 pub fn read(path: &Path) -> (Vec<Entry>, Option<Wrong>) {
@@ -107,16 +107,13 @@ fn a_recording_has_every_executed_cycle_and_what_is_native_of_chosen_drives_and_
 
 #[test]
 fn a_file_that_may_not_grow_fails_the_run_by_name_and_is_readable_up_to_there() {
-    let machine = Machine::new(142);
-    let config = machine.plain(1);
-    let _sim = serve(&config);
+    let (machine, config, _sim) = with_drives(142, 1);
     let path = machine.path("run.mcap");
     let mut command = Command::new(PROGRAM);
     command.arg("run").arg(&config).args(["--json", "--record-wire", "--record"]).arg(&path);
     let mut program = Program::spawn(limit_files(&mut command, 64 << 10));
     program.await_text("is not complete");
-    program.signal(SIGINT);
-    let ended = program.end();
+    let ended = program.end_by(SIGINT);
     let summary = ended.expect(1).json();
     let [recorded] = &summary["recordings"].as_array().unwrap()[..] else { panic!("{summary}") };
     assert!(recorded["error"].as_str().unwrap().starts_with("File too large"), "{recorded}");
@@ -133,15 +130,12 @@ fn a_file_that_may_not_grow_fails_the_run_by_name_and_is_readable_up_to_there() 
 
 #[test]
 fn one_that_was_removed_meanwhile_fails_the_run_by_name() {
-    let machine = Machine::new(253);
-    let config = machine.plain(1);
-    let _sim = serve(&config);
+    let (machine, config, _sim) = with_drives(253, 1);
     let path = machine.path("run.mcap");
     let master = master(&config, &["--json", "--record", path.to_str().unwrap()]);
     await_status(&config, |summary| drive(summary, "d0")["answered"].as_u64() > Some(10));
     std::fs::remove_file(&path).unwrap();
-    master.signal(SIGINT);
-    let ended = master.end();
+    let ended = master.end_by(SIGINT);
     let summary = ended.expect(1).json();
     assert_eq!(summary["recordings"][0]["error"], "somebody removed it while it was written; record again");
     assert!(ended.err.contains("run.mcap is not complete: somebody removed it"), "{ended:?}");
@@ -149,9 +143,7 @@ fn one_that_was_removed_meanwhile_fails_the_run_by_name() {
 
 #[test]
 fn what_is_newest_and_a_black_box_are_written_on_request_and_exported_and_what_is_none_is_refused() {
-    let machine = Machine::new(144);
-    let config = machine.plain(1);
-    let _sim = serve(&config);
+    let (machine, config, _sim) = with_drives(144, 1);
     let (newest, boxes) = (machine.path("newest.mcap"), machine.path("boxes"));
     let [record, black_box] = [&newest, &boxes].map(|path| path.to_str().unwrap());
     let options = ["--json", "--record", record, "--record-window", "1s", "--black-box", black_box];

@@ -29,8 +29,7 @@ fn recorded(machine: &Machine, signal: i32) -> PathBuf {
         let before = size();
         assert!(until(LONG, || size() > before));
     }
-    running.signal(signal);
-    let ended = running.end();
+    let ended = running.end_by(signal);
     if signal == libc::SIGINT {
         ended.expect(0);
         let recording = ended.out.lines().find(|line| line.contains(file.to_str().unwrap())).unwrap();
@@ -231,8 +230,7 @@ fn what_cannot_be_recorded_is_refused_before_anything_is_sent_and_leaves_no_file
     let second = machine.path("second.mcap");
     master(&config, &with_wire(&second)).end().refused(&["is in use by another master", "end that one"]);
     assert!(!second.exists());
-    running.signal(libc::SIGINT);
-    running.end().expect(0);
+    running.end_by(libc::SIGINT).expect(0);
     replay(&file, &[])
         .refused(&["x.mcap has no wire to repeat; record the run with --record FILE --record-wire"]);
 }

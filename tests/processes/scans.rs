@@ -23,8 +23,7 @@ fn rows(table: &Ended) -> Vec<Vec<&str>> {
 #[track_caller]
 fn interrupted(scan: Program) {
     scan.await_handler(SIGINT);
-    scan.signal(SIGINT);
-    scan.end().failed(&["interrupted"]);
+    scan.end_by(SIGINT).failed(&["interrupted"]);
 }
 
 fn scan(protocol: &str, options: &[&str]) -> Program {
@@ -222,8 +221,7 @@ fn stations_are_listed_by_a_scan_that_leaves_them_as_they_are_and_a_master_alone
     let master = online(&config, &["--json"]);
     scan(&[]).end().refused(&[&device, "is in use by another master"]);
     finish(master);
-    sim.signal(SIGTERM);
-    sim.end().expect(0);
+    sim.end_by(SIGTERM).expect(0);
     scan(&[]).end().refused(&["nobody simulates the wire", "start `fieldbeat sim`"]);
 
     // Next to one that this host does not know: nothing is sent.

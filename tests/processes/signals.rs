@@ -204,17 +204,14 @@ fn a_master_in_mid_motion_is_not_suspended_from_its_terminal() {
 }
 
 #[test]
-fn a_simulation_ends_by_a_signal_like_a_run() {
+fn a_simulation_ends_by_any_signal_like_a_run() {
     let machine = Machine::new(233);
     let config = machine.plain(1);
-    for signal in [SIGTERM, libc::SIGQUIT] {
-        let mut sim = Program::start(["sim", config.to_str().unwrap()]);
-        sim.await_text("listening");
-        sim.signal(signal);
-        let ended = sim.end();
-        ended.expect(0);
-        assert!(ended.out.contains("received, "), "{ended:?}");
-    }
+    let mut sim = Program::start(["sim", config.to_str().unwrap()]);
+    sim.await_text("listening");
+    let ended = sim.end_by(libc::SIGQUIT);
+    ended.expect(0);
+    assert!(ended.out.contains("received, "), "{ended:?}");
 }
 
 #[test]
@@ -273,8 +270,7 @@ fn a_run_that_waits_for_drives_can_be_ended() {
     for signal in [SIGINT, SIGTERM, SIGHUP] {
         let master = master(&config, &["--json"]);
         master.await_handler(signal);
-        master.signal(signal);
-        let ended = master.end();
+        let ended = master.end_by(signal);
         ended.expect(0);
         assert_eq!(ended.err, "");
         assert_sums(&ended.json());
@@ -300,8 +296,7 @@ fn under_nohup_the_master_outlives_its_terminal() {
     let before = sim.stats()[0].received;
     master.signal(SIGHUP);
     assert!(support::until(LONG, || sim.stats()[0].received > before + 50), "it ended");
-    master.signal(SIGINT);
-    master.end().expect(0);
+    master.end_by(SIGINT).expect(0);
 }
 
 /// Ctrl-Z, or a debugger: the grid goes on without the process, and every slot is accounted for. Neither the loop nor
@@ -322,8 +317,7 @@ fn a_master_that_was_stopped_counts_what_it_missed_and_is_not_stuck() {
         // Each of the slots, but for those at both ends.
         let missed = 1_500_000_000 / carried() - 2;
         await_status(&config, |summary| summary["cycle"]["skipped"].as_u64() > Some(missed));
-        master.signal(SIGTERM);
-        let ended = master.end();
+        let ended = master.end_by(SIGTERM);
         let summary = ended.expect(code).json();
         assert_sums(&summary);
         assert!(!ended.err.contains("stuck"), "{ended:?}");

@@ -6,7 +6,7 @@ use std::process::Command;
 use libc::SIGINT;
 use serde_json::{Value, json};
 
-use super::support::{Ended, LONG, Machine, PROGRAM, Program, drive, run, until};
+use super::support::{LONG, Machine, PROGRAM, Program, drive, run, until};
 use super::{assert_powered_off, await_status, serve, simulation};
 
 /// Criteria that any host keeps to.
@@ -67,11 +67,6 @@ fn failed(verdict: &Value) -> Vec<&str> {
     criteria.filter(|one| one["passed"] == false).filter_map(|one| one["criterion"].as_str()).collect()
 }
 
-fn interrupt(program: Program) -> Ended {
-    program.signal(SIGINT);
-    program.end()
-}
-
 #[test]
 fn a_test_moves_its_axes_and_ends_with_a_verdict_and_a_page() {
     let machine = Machine::new(191);
@@ -86,7 +81,7 @@ fn a_test_moves_its_axes_and_ends_with_a_verdict_and_a_page() {
     second.expect(2);
     assert!(second.err.contains("is in use by another master") && !other.exists(), "{second:?}");
     await_checkpoint(&place, |all| moves(all) >= 3 && all["axes"][1]["cycles"].as_u64() > Some(0));
-    let ended = interrupt(program);
+    let ended = program.end_by(SIGINT);
     ended.expect(0);
     let verdict = ended.json();
     assert_eq!((&verdict["passed"], failed(&verdict)), (&Value::Bool(true), vec![]));
@@ -108,7 +103,7 @@ fn a_test_moves_its_axes_and_ends_with_a_verdict_and_a_page() {
     let base = place.join("run.json");
     let program = start(&config, &other, &["--compare", base.to_str().unwrap()]);
     await_checkpoint(&other, |all| moves(all) >= 1 && all["axes"][1]["cycles"].as_u64() > Some(0));
-    let ended = interrupt(program);
+    let ended = program.end_by(SIGINT);
     ended.expect(0);
     let compared = &ended.json()["compared"][0];
     assert_eq!((&compared["with"], &compared["differences"]), (&"soak".into(), &json!([])));
@@ -130,7 +125,7 @@ fn a_test_that_is_killed_goes_on_from_its_checkpoint_to_one_verdict() {
 
     let program = soak(&config, &["--resume", directory, "--checkpoint", "200ms", "--json"]);
     await_checkpoint(&place, |all| moves(all) >= moves(&last) + 3);
-    let ended = interrupt(program);
+    let ended = program.end_by(SIGINT);
     ended.expect(0);
     let verdict = ended.json();
     assert!(verdict["passed"] == true && verdict["processes"].as_array().unwrap().len() == 2, "{verdict}");
@@ -207,7 +202,7 @@ fn an_axis_that_was_given_up_is_known_after_a_kill_however_rare_checkpoints_are(
     let mut program = soak(&config, &["--resume", directory, "--json"]);
     program.await_text("axis d0: moves no longer, as before the pause: stopped: link lost");
     await_status(&config, |summary| drive(summary, "d0")["link"] == "online");
-    let ended = interrupt(program);
+    let ended = program.end_by(SIGINT);
     ended.expect(1);
     assert!(failed(&ended.json()).contains(&"stops"), "{}", ended.out);
 }
@@ -226,7 +221,7 @@ fn a_disk_that_takes_no_checkpoint_ends_no_test_and_fails_it_by_name() {
     program.await_text("checkpoint not written: File too large");
     let moved = |summary: &Value| drive(summary, "d0")["answered"].as_u64() > Some(100);
     await_status(&config, moved);
-    let ended = interrupt(program);
+    let ended = program.end_by(SIGINT);
     ended.expect(1);
     assert!(failed(&ended.json()).contains(&"files_lost"), "{}", ended.out);
     for line in ["files_lost: ", "the report is not written: File too large", "look at that disk"] {

@@ -22,7 +22,7 @@ use super::support::hold::{Hold, thread};
 use super::support::{
     Ended, LONG, Machine, NOBODY, PROGRAM, Program, as_ordinary_user, checkout, plan, run, until,
 };
-use super::{ask, assert_silent, metrics, patient_cycle, simulation, socket};
+use super::{ask, assert_silent, metrics, patient_cycle, simulation, socket, with_drives};
 
 /// A command of the program whose sockets and files are the machine's own.
 fn own(machine: &Machine, arguments: &[&str]) -> Command {
@@ -45,11 +45,6 @@ fn master(machine: &Machine, config: &Path, arguments: &[&str]) -> Program {
 
 fn status(machine: &Machine, arguments: &[&str]) -> Ended {
     Program::spawn(own(machine, &["status"]).args(arguments)).end()
-}
-
-fn end(master: Program) -> Ended {
-    master.signal(SIGTERM);
-    master.end()
 }
 
 fn sockets(machine: &Machine) -> Vec<PathBuf> {
@@ -90,7 +85,7 @@ fn a_running_master_answers_its_owner_a_dead_one_is_called_dead_and_an_open_dire
     let mut watching = Program::spawn(&mut own(&machine, &["status", "--watch", "100ms", "--json"]));
     assert!(until(LONG, || watching.out().lines().count() >= 3));
     assert!(watching.is_running());
-    end(master).expect(0);
+    master.end_by(SIGTERM).expect(0);
     let ended = watching.end();
     ended.expect(1);
     assert!(ended.err.contains("the master has ended"), "{ended:?}");
@@ -107,10 +102,10 @@ fn a_running_master_answers_its_owner_a_dead_one_is_called_dead_and_an_open_dire
     status(&machine, &[text]).failed(&["has died, only its socket is left", "start it again"]);
     let again = start(&[]);
     assert_eq!(status(&machine, &[text, "--json"]).expect(0).json()["pid"], again.pid());
-    end(again).expect(0);
+    again.end_by(SIGTERM).expect(0);
     // A directory that others may write to gets no socket, and the run goes on.
     fs::set_permissions(machine.path("run/fieldbeat"), PermissionsExt::from_mode(0o777)).unwrap();
-    let ended = end(start(&["--json"]));
+    let ended = start(&["--json"]).end_by(SIGTERM);
     ended.expect(0).json();
     assert!(ended.err.contains("no `fieldbeat status`") && ended.err.contains("remove it"), "{}", ended.err);
     assert!(sockets(&machine).is_empty());
@@ -193,9 +188,7 @@ fn a_running_demo_is_found_from_anywhere() {
 #[test]
 #[ignore = "needs root: asks the master of another user"]
 fn root_finds_the_master_of_another_user() {
-    let machine = Machine::new(48);
-    let config = machine.plain(1);
-    let _sim = simulation(&config);
+    let (machine, config, _sim) = with_drives(48, 1);
     let shared = machine.path("run");
     fs::create_dir(&shared).unwrap();
     fs::set_permissions(&shared, PermissionsExt::from_mode(0o1777)).unwrap();
@@ -240,7 +233,7 @@ fn a_lost_drive_leaves_a_black_box_that_tells_how_it_came_to_it() {
         format!("{}{}", master.out(), master.err()).contains(&format!("(drive {drive}: link lost"))
     };
     let first = if said("d0") { "d0" } else { "d1" };
-    let ended = end(master);
+    let ended = master.end_by(SIGTERM);
     let summary = ended.expect(1).json();
     let reported = summary["black_boxes"].as_array().unwrap();
     let files = files(&directory);
@@ -341,7 +334,7 @@ fn what_a_drive_shows_besides_is_told_in_status_and_by_gauges_while_it_does() {
         page.value("fieldbeat_axes_online") == 0.0
     }));
     assert_eq!(page.count("_monitor"), 4, "{page:?}");
-    end(master).expect(1);
+    master.end_by(SIGTERM).expect(1);
 }
 
 #[test]
@@ -420,16 +413,14 @@ fn a_drive_that_nobody_can_connect_to_is_told_once_with_the_reason_and_stands_in
     assert_eq!(sample("protocol_events_total", ",what=\"reopened\""), 0.0);
     let text = status(&machine, &[]).expect(0).out.clone();
     assert!(text.contains("u1") && !text.contains("NaN"), "{text}");
-    let ended = end(master);
+    let ended = master.end_by(SIGTERM);
     // However often it was tried.
     assert_eq!(ended.expect(0).err.matches("not connected").count(), 1, "{}", ended.err);
 }
 
 #[test]
 fn a_black_box_that_cannot_be_written_is_told_and_the_run_goes_on() {
-    let machine = Machine::new(46);
-    let config = machine.plain(1);
-    let _sim = simulation(&config);
+    let (machine, config, _sim) = with_drives(46, 1);
     let boxes = machine.path("boxes");
     let mut command = own(&machine, &["run"]);
     command.arg(&config).args(["--json", "--black-box"]).arg(&boxes);
@@ -440,7 +431,7 @@ fn a_black_box_that_cannot_be_written_is_told_and_the_run_goes_on() {
     machine.write("boxes", "");
     master.signal(SIGUSR1);
     master.await_text("black box not written: ");
-    let ended = end(master);
+    let ended = master.end_by(SIGTERM);
     let summary = ended.expect(0).json();
     assert!(summary["black_boxes"][0]["error"].as_str().is_some(), "{summary}");
 }
@@ -482,9 +473,7 @@ fn a_black_box_without_a_place_is_known_before_anything_is_sent() {
 /// run says why.
 #[test]
 fn a_panic_of_the_loop_is_a_failed_run_with_a_black_box() {
-    let machine = Machine::new(238);
-    let config = machine.plain(2);
-    let _sim = simulation(&config);
+    let (machine, config, _sim) = with_drives(238, 2);
     let mut plan = plan(&config);
     let bus = plan.buses.remove(0);
     let fused = Fused::new((&*bus as &dyn std::any::Any).downcast_ref::<LinUdpPlan>().unwrap().clone());

@@ -71,8 +71,7 @@ fn whoever_sits_at_the_address_of_a_dead_drive_does_not_become_it() {
     // The kernel may drop some while the loop is held up.
     let rejected = |summary: &Value| drive(summary, "d0")["rejected"].as_u64() > Some(100);
     await_status(&config, |summary| pester(&impostor, machine.master(), 100) > 0 && rejected(summary));
-    master.signal(SIGINT);
-    let ended = master.end();
+    let ended = master.end_by(SIGINT);
     assert!(!ended.expect(1).err.contains("back online"), "{}", ended.err);
     let summary = ended.json();
     assert_sums(&summary);

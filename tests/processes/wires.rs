@@ -218,8 +218,7 @@ fn what_is_wrong_with_a_slave_is_named_once_and_a_device_is_accessed_through_its
     assert_eq!(of("mailbox_silent"), 0.0);
     let beside = ask("param get", &config, "io 0x1018:1");
     assert!(beside.expect(1).err.contains("read 0x1018:1: the slave has no mailbox"), "{}", beside.err);
-    master.signal(SIGTERM);
-    let ended = master.end();
+    let ended = master.end_by(SIGTERM);
     for line in named {
         assert_eq!(ended.err.matches(line).count(), 1, "{line}: {}", ended.err);
     }
