@@ -602,9 +602,12 @@ fn no_carrier_needs_another_system_call_than_those_listed_or_an_allocation() {
         return LIVES.iter().find(|(carrier, _)| *carrier == role).unwrap().1();
     }
     let name = "no_carrier_needs_another_system_call_than_those_listed_or_an_allocation";
-    for (shelter, (carrier, _)) in (5..).zip(LIVES) {
-        innocent_child(name, carrier, shelter);
-    }
+    // Most of their time is waiting.
+    std::thread::scope(|scope| {
+        for (shelter, (carrier, _)) in (5..).zip(LIVES) {
+            scope.spawn(move || innocent_child(name, carrier, shelter));
+        }
+    });
 }
 
 /// What the loop's thread must not do, each called often if it were let.
