@@ -6,8 +6,10 @@
 //! | `config` | configurations: every mistake by its line, the samples, the defaults |
 //! | `conformance` | what every bus must do, clause by clause |
 //! | `virtual_time` | the whole machine in virtual time |
+//! | `between` | simulated drives with something between them and the world |
 //! | `proposing` | buses that build requests which never leave |
 
+mod between;
 mod config;
 mod conformance;
 #[path = "../support/forward.rs"]

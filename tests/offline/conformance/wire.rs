@@ -20,6 +20,7 @@ use fieldbeat_core::net::{
 use fieldbeat_core::rt::Regions;
 
 use self::serial::{TappedSerial, TappedSlave};
+use crate::between::{Between, Message, Sender, Shared};
 use crate::conformance::subject::{Drive, NoMessage, Said, Subject};
 use crate::proposing::Proposing;
 
@@ -179,8 +180,9 @@ impl Wire {
         let wire = Wire { subject, plan, log: Arc::new(Mutex::new(log)), interface, port };
         let tap = |(index, drive): (usize, Box<dyn SimDrive>)| {
             let (wire, (socket, _)) = (wire.clone(), process_data(&*drive));
-            Box::new(TappedDrive { drive, index, socket, wire, part: Vec::new(), said: None, reported: None })
-                as Box<dyn SimDrive>
+            let (said, reported) = (None, None);
+            let tapped = TappedDrive { drive, index, socket, wire, part: Vec::new(), said, reported };
+            Box::new(Shared::new(tapped)) as Box<dyn SimDrive>
         };
         let tap_line = |line| {
             let drives = vec![TappedEnd::default(); drives.len()];
@@ -356,28 +358,14 @@ impl TappedLine {
 }
 
 impl SimSegment for TappedLine {
-    fn interface(&self) -> &str {
-        self.line.interface()
-    }
+    crate::forward_sim_line!(this => this.line);
 
-    fn own_interface(&self) -> Option<&str> {
-        self.line.own_interface()
-    }
-
-    fn ethertype(&self) -> u16 {
-        self.line.ethertype()
-    }
-
-    fn faults(&self) -> FaultPlan {
-        self.line.faults()
-    }
-
-    fn slaves(&self) -> usize {
-        self.line.slaves()
-    }
-
-    fn delay_ns(&self) -> u64 {
-        self.line.delay_ns()
+    crate::forward! { this => this.line;
+        fn interface(&self) -> &str;
+        fn own_interface(&self) -> Option<&str>;
+        fn slaves(&self) -> usize;
+        fn advance(&mut self, now: Time);
+        fn restart(&mut self, now: Time, place: usize);
     }
 
     fn pass(&mut self, now: Time, frame: &mut [u8]) -> bool {
@@ -386,30 +374,6 @@ impl SimSegment for TappedLine {
         let comes_back = self.line.pass(now, frame) && !mute;
         self.write_down(now, frame, comes_back);
         comes_back
-    }
-
-    fn mislabel(&self, frame: &mut [u8]) {
-        self.line.mislabel(frame);
-    }
-
-    fn advance(&mut self, now: Time) {
-        self.line.advance(now);
-    }
-
-    fn cut(&mut self, place: Option<usize>) {
-        self.line.cut(place);
-    }
-
-    fn deafen(&mut self, place: usize, deaf: bool) {
-        self.line.deafen(place, deaf);
-    }
-
-    fn restart(&mut self, now: Time, place: usize) {
-        self.line.restart(now, place);
-    }
-
-    fn open_sto(&mut self, place: usize, until: Time) {
-        self.line.open_sto(place, until);
     }
 }
 
@@ -471,18 +435,12 @@ impl TappedDrive {
     }
 }
 
-impl SimDrive for TappedDrive {
-    crate::forward_sim_drive!(drive);
-
-    fn more_sockets(&self) -> Vec<(Carrier, SocketAddrV4)> {
-        self.drive.more_sockets()
+impl Between for TappedDrive {
+    fn drive(&mut self) -> &mut dyn SimDrive {
+        &mut *self.drive
     }
 
-    fn next_due(&self) -> Option<Time> {
-        self.drive.next_due()
-    }
-
-    fn run(&mut self, now: Time, send: &mut dyn FnMut(usize, SocketAddrV4, &[u8])) {
+    fn run(&mut self, now: Time, send: &mut Sender<'_>) {
         let Wire { subject, log, .. } = &self.wire;
         let tape = &mut log.lock().unwrap().drives[self.index];
         self.drive.run(now, &mut |socket, to, bytes| {
@@ -498,30 +456,14 @@ impl SimDrive for TappedDrive {
         });
     }
 
-    fn receive_at(
-        &mut self,
-        socket: usize,
-        now: Time,
-        from: SocketAddrV4,
-        bytes: &[u8],
-        reply: &mut Vec<u8>,
-    ) -> Option<SocketAddrV4> {
-        if socket == self.socket {
-            return self.receive(now, from, bytes, reply);
+    fn receive(&mut self, message: Message<'_>, reply: &mut Vec<u8>) -> Option<SocketAddrV4> {
+        if message.socket != self.socket {
+            return message.reaches(&mut *self.drive, reply);
         }
-        self.drive.receive_at(socket, now, from, bytes, reply)
-    }
-
-    fn receive(
-        &mut self,
-        now: Time,
-        from: SocketAddrV4,
-        bytes: &[u8],
-        reply: &mut Vec<u8>,
-    ) -> Option<SocketAddrV4> {
+        let Message { now, from, bytes, .. } = message;
         self.meddle(now);
         let request = self.request(from, bytes);
-        let to = self.drive.receive_at(self.socket, now, from, bytes, reply);
+        let to = message.reaches(&mut *self.drive, reply);
         let reply = if to.is_some() { reply.clone() } else { Vec::new() };
         let subject = self.wire.subject;
         let mut log = self.wire.log.lock().unwrap();
@@ -536,10 +478,6 @@ impl SimDrive for TappedDrive {
             tape.received.push(Delivery { at: now, request, reply, said, reported });
         }
         to.filter(|_| !tape.mute)
-    }
-
-    fn restart(&mut self, now: Time) {
-        self.drive.restart(now);
     }
 }
 
@@ -585,8 +523,11 @@ struct TappedFrames {
 }
 
 impl Frames for TappedFrames {
-    fn fd(&self) -> Option<RawFd> {
-        self.carrier.fd()
+    crate::forward! { this => this.carrier;
+        fn fd(&self) -> Option<RawFd>;
+        fn now(&mut self) -> Time;
+        fn mac(&self) -> [u8; 6];
+        fn memory(&self, regions: &mut Regions);
     }
 
     fn send(&mut self, frame: &[u8]) -> Result<Time, Unsent> {
@@ -609,18 +550,6 @@ impl Frames for TappedFrames {
         }
         Some((at, length))
     }
-
-    fn now(&mut self) -> Time {
-        self.carrier.now()
-    }
-
-    fn mac(&self) -> [u8; 6] {
-        self.carrier.mac()
-    }
-
-    fn memory(&self, regions: &mut Regions) {
-        self.carrier.memory(regions);
-    }
 }
 
 struct TappedStreams {
@@ -640,8 +569,12 @@ struct Part {
 }
 
 impl Streams for TappedStreams {
-    fn fd(&self) -> Option<RawFd> {
-        self.carrier.fd()
+    crate::forward! { this => this.carrier;
+        fn fd(&self) -> Option<RawFd>;
+        fn look(&mut self);
+        fn ready(&mut self) -> Option<usize>;
+        fn notes(&self) -> LinkNotes;
+        fn memory(&self, regions: &mut Regions);
     }
 
     fn opened(&mut self) -> Option<usize> {
@@ -651,14 +584,6 @@ impl Streams for TappedStreams {
         tape.open = true;
         tape.opened += 1;
         Some(index)
-    }
-
-    fn look(&mut self) {
-        self.carrier.look();
-    }
-
-    fn ready(&mut self) -> Option<usize> {
-        self.carrier.ready()
     }
 
     fn receive(&mut self, index: usize, room: &mut [u8]) -> Result<Option<(Time, usize)>, Broken> {
@@ -695,14 +620,6 @@ impl Streams for TappedStreams {
         self.wire.log().drives[index].open = false;
         self.carrier.abandon(index, why);
     }
-
-    fn notes(&self) -> LinkNotes {
-        self.carrier.notes()
-    }
-
-    fn memory(&self, regions: &mut Regions) {
-        self.carrier.memory(regions);
-    }
 }
 
 struct TappedCarrier {
@@ -711,8 +628,12 @@ struct TappedCarrier {
 }
 
 impl Datagrams for TappedCarrier {
-    fn fd(&self) -> Option<RawFd> {
-        self.carrier.fd()
+    crate::forward! { this => this.carrier;
+        fn fd(&self) -> Option<RawFd>;
+        fn groups(&self) -> Option<Arc<dyn Groups>>;
+        fn batch(&self) -> usize;
+        fn dropped(&self) -> u64;
+        fn memory(&self, regions: &mut Regions);
     }
 
     fn send(&mut self, outbox: &mut Outbox) {
@@ -741,21 +662,5 @@ impl Datagrams for TappedCarrier {
             drop(log);
             take(datagram);
         })
-    }
-
-    fn groups(&self) -> Option<Arc<dyn Groups>> {
-        self.carrier.groups()
-    }
-
-    fn batch(&self) -> usize {
-        self.carrier.batch()
-    }
-
-    fn dropped(&self) -> u64 {
-        self.carrier.dropped()
-    }
-
-    fn memory(&self, regions: &mut Regions) {
-        self.carrier.memory(regions);
     }
 }

@@ -5,9 +5,10 @@ use fieldbeat::axis::{
 };
 use fieldbeat::bus::linudp::motion::{Acceleration, MotionCommand, Position, Velocity};
 use fieldbeat::bus::linudp::{ControlWord, ErrorCode, MainState, Native, NativeOutput, StatusWord};
-use fieldbeat::time::{Time, US};
-use fieldbeat_linudp::wire::{Request, ResponseDef, ResponseView, RtcBlock, RtcCommand};
+use fieldbeat::time::US;
+use fieldbeat_linudp::wire::{Request, ResponseView, RtcBlock, RtcCommand};
 
+use crate::virtual_time::faults::inject;
 use crate::virtual_time::support::*;
 
 const STOP: Command = Command::Stop { deceleration: None };
@@ -216,14 +217,7 @@ fn count(reply: &mut [u8]) -> Option<&mut u8> {
 fn an_echo_that_hides_the_stored_count_costs_a_few_cycles_and_no_motion() {
     // Seen on real hardware: the echo was 0 while the drive had stored 1, and the first command was not taken.
     let mut b = Rig::new(1).ready();
-    let request = Request {
-        motion: Some(MotionCommand::no_operation().block(1)),
-        response_def: ResponseDef::CYCLIC,
-        ..Request::default()
-    };
-    let mut bytes = [0; 64];
-    let size = request.emit(&mut bytes);
-    b.world().inject(address(0), MASTER, &bytes[..size], Time(0));
+    inject(&b, Request { motion: Some(MotionCommand::no_operation().block(1)), ..Request::default() });
     b.tape(0).tamper = Some(Box::new(|reply| {
         if let Some(byte) = count(reply)
             && *byte & 0xF == 1

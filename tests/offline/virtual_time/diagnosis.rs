@@ -9,12 +9,13 @@ use fieldbeat::sim::ethernet_ip::{MoonsSettings, MoonsSim};
 use fieldbeat::sim::linudp::LinMotSim;
 use fieldbeat::sim::modbus::{UnidriveSettings, UnidriveSim};
 use fieldbeat::sim::profibus::{LenzeSettings, LenzeSim, ProfibusSegment};
-use fieldbeat::sim::{Carrier, FaultPlan, SerialWire, SimDrive, SimSerial, Simulated, WorldOptions};
+use fieldbeat::sim::{FaultPlan, SerialWire, SimDrive, SimSerial, Simulated, WorldOptions};
 use fieldbeat::time::{MS, S, Time};
 use fieldbeat::{CyclePlan, Master, Plan, Simulation};
 use fieldbeat_core::bus::diagnosis::Row;
 
 use super::{kollmorgen, lenze, moons, support};
+use crate::between::{Between, Message, Sender, Shared};
 
 /// An address that no drive has.
 const ELSEWHERE: SocketAddrV4 = SocketAddrV4::new(Ipv4Addr::new(10, 9, 9, 9), 2_222);
@@ -60,7 +61,7 @@ struct Script {
     elsewhere: Vec<(SocketAddrV4, Vec<u8>)>,
 }
 
-type Shared = Arc<Mutex<Script>>;
+type SharedScript = Arc<Mutex<Script>>;
 
 impl Script {
     fn pass(&mut self, to: SocketAddrV4, bytes: &mut Vec<u8>) -> bool {
@@ -76,23 +77,17 @@ impl Script {
 /// A drive whose messages the test changes.
 struct Changed<D> {
     drive: D,
-    script: Shared,
+    script: SharedScript,
     /// Those on this socket.
     socket: usize,
 }
 
-impl<D: SimDrive> SimDrive for Changed<D> {
-    crate::forward_sim_drive!(drive);
-
-    fn more_sockets(&self) -> Vec<(Carrier, SocketAddrV4)> {
-        self.drive.more_sockets()
+impl<D: SimDrive> Between for Changed<D> {
+    fn drive(&mut self) -> &mut dyn SimDrive {
+        &mut self.drive
     }
 
-    fn next_due(&self) -> Option<Time> {
-        self.drive.next_due()
-    }
-
-    fn run(&mut self, now: Time, send: &mut dyn FnMut(usize, SocketAddrV4, &[u8])) {
+    fn run(&mut self, now: Time, send: &mut Sender<'_>) {
         let Changed { drive, script, socket } = self;
         drive.run(now, &mut |of, to, bytes| {
             let mut bytes = bytes.to_vec();
@@ -102,43 +97,24 @@ impl<D: SimDrive> SimDrive for Changed<D> {
         });
     }
 
-    fn receive_at(
-        &mut self,
-        socket: usize,
-        now: Time,
-        from: SocketAddrV4,
-        bytes: &[u8],
-        reply: &mut Vec<u8>,
-    ) -> Option<SocketAddrV4> {
-        let to = self.drive.receive_at(socket, now, from, bytes, reply)?;
-        (socket != self.socket || self.script.lock().unwrap().pass(to, reply)).then_some(to)
-    }
-
-    fn receive(
-        &mut self,
-        now: Time,
-        from: SocketAddrV4,
-        bytes: &[u8],
-        reply: &mut Vec<u8>,
-    ) -> Option<SocketAddrV4> {
-        self.receive_at(0, now, from, bytes, reply)
-    }
-
-    fn restart(&mut self, now: Time) {
-        self.drive.restart(now);
+    fn receive(&mut self, message: Message<'_>, reply: &mut Vec<u8>) -> Option<SocketAddrV4> {
+        let to = message.reaches(&mut self.drive, reply)?;
+        (message.socket != self.socket || self.script.lock().unwrap().pass(to, reply)).then_some(to)
     }
 }
 
 /// The same on a serial wire, so much later.
 struct ChangedSerial {
     drive: LenzeSim,
-    script: Shared,
+    script: SharedScript,
     late_ns: u64,
 }
 
 impl SimSerial for ChangedSerial {
-    fn receive(&mut self, now: Time, bytes: &[u8]) {
-        self.drive.receive(now, bytes);
+    crate::forward! { this => this.drive;
+        fn receive(&mut self, now: Time, bytes: &[u8]);
+        fn restart(&mut self, now: Time);
+        fn open_sto(&mut self, until: Time);
     }
 
     fn next_due(&self) -> Option<Time> {
@@ -151,14 +127,6 @@ impl SimSerial for ChangedSerial {
         if !sent.is_empty() && self.script.lock().unwrap().pass(ELSEWHERE, &mut sent) {
             out.extend(sent);
         }
-    }
-
-    fn restart(&mut self, now: Time) {
-        self.drive.restart(now);
-    }
-
-    fn open_sto(&mut self, until: Time) {
-        self.drive.open_sto(until);
     }
 }
 
@@ -194,7 +162,11 @@ fn delayed(share: f64, ms: u64) -> FaultPlan {
 }
 
 /// The line of each case is the expected one, and each row of `rows` was expected once.
-fn check(rows: &[Row], cases: Vec<Case>, machine: impl Fn(&Case, &Shared) -> (Simulation, SocketAddrV4)) {
+fn check(
+    rows: &[Row],
+    cases: Vec<Case>,
+    machine: impl Fn(&Case, &SharedScript) -> (Simulation, SocketAddrV4),
+) {
     let mut said = Vec::new();
     for (number, case) in cases.into_iter().enumerate() {
         let change = if case.later { nothing } else { case.change };
@@ -246,13 +218,13 @@ fn check(rows: &[Row], cases: Vec<Case>, machine: impl Fn(&Case, &Shared) -> (Si
 }
 
 fn simulated(bus: impl BusPlan, cycle: CyclePlan, drives: impl Into<Simulated>) -> Simulation {
-    let plan = Plan { source: None, cycle, buses: vec![Box::new(bus)], groups: Vec::new() };
+    let plan = Plan { cycle, buses: vec![Box::new(bus)], ..Plan::default() };
     let sim = Master::from_plan(plan).simulate_with(drives, WorldOptions::default());
     sim.unwrap_or_else(|error| panic!("{error}"))
 }
 
-fn changed<D: SimDrive + 'static>(drive: D, script: &Shared, socket: usize) -> Vec<Box<dyn SimDrive>> {
-    vec![Box::new(Changed { drive, script: Arc::clone(script), socket })]
+fn changed<D: SimDrive + 'static>(drive: D, script: &SharedScript, socket: usize) -> Vec<Box<dyn SimDrive>> {
+    vec![Box::new(Shared::new(Changed { drive, script: Arc::clone(script), socket }))]
 }
 
 #[test]

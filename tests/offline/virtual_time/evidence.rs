@@ -15,9 +15,7 @@ fn repeat(b: &Bench, cycles: usize) {
         let tape = b.tape(0);
         tape.received[tape.received.len() - cycles].reply.expect("the drive answers everything")
     };
-    let mut bytes = [0; 64];
-    let size = reply.emit(&mut bytes);
-    b.world().inject(MASTER, address(0), &bytes[..size], b.grid() + MS + 10 * US);
+    b.inject_reply(0, reply, b.grid() + MS + 10 * US);
 }
 
 fn demand(b: &Bench) -> f64 {
@@ -184,9 +182,8 @@ fn old_reply(b: &Bench, tags: usize, old: Response) {
         tape.received[index].reply.expect("the drive answers everything")
     };
     let Response { request_def, response_def, config, .. } = alike;
-    let mut bytes = [0; 64];
-    let size = Response { request_def, response_def, config, ..old }.emit(&mut bytes);
-    b.world().inject(MASTER, address(0), &bytes[..size], b.grid() + MS + 10 * US);
+    let reply = Response { request_def, response_def, config, ..old };
+    b.inject_reply(0, reply, b.grid() + MS + 10 * US);
 }
 
 #[test]

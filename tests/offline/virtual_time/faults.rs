@@ -69,10 +69,7 @@ fn a_fault_of_the_drive_latches_and_its_own_stop_is_never_cut_short() {
 
 /// A telegram of another master reaches the drive now.
 pub fn inject(b: &Bench, request: Request) {
-    let request = Request { response_def: ResponseDef::CYCLIC, ..request };
-    let mut bytes = [0; 64];
-    let size = request.emit(&mut bytes);
-    b.world().inject(address(0), MASTER, &bytes[..size], Time(0));
+    b.inject_request(0, Request { response_def: ResponseDef::CYCLIC, ..request }, Time(0));
 }
 
 #[test]
@@ -114,11 +111,12 @@ fn two_groups_may_stop_in_one_cycle_and_others_go_on() {
     assert_eq!(stopped, [lost, along, lost, along, None, None]);
 }
 
+/// How it stops every axis, and how that opens, stands in `latches`.
 #[test]
-fn a_task_that_panics_stops_every_axis_and_the_loop_goes_on() {
+fn a_task_that_panicked_is_not_called_again_and_the_loop_goes_on() {
     let runs = Arc::new(AtomicU64::new(0));
     let count = Arc::clone(&runs);
-    let mut b = Rig::new(2)
+    let mut b = Rig::new(1)
         .task(move |cycle, _| {
             count.fetch_add(1, Ordering::Relaxed);
             // Quietly: the message of a panic is not this test's.
@@ -127,16 +125,8 @@ fn a_task_that_panics_stops_every_axis_and_the_loop_goes_on() {
             }
         })
         .ready();
-    let ids: Vec<_> = (0..2).map(|index| b.post(index, slowly_to(100.0))).collect();
-    b.run(900 - b.feedback(0).cycle);
-    for (index, id) in ids.into_iter().enumerate() {
-        assert_eq!(b.aborted(index, id), Abort::Stopped(StopCause::Task));
-        assert_eq!(b.feedback(index).stopped, Some(StopCause::Task));
-        b.until("off", 500, |b| !b.feedback(index).status.state.is_powered());
-    }
-    assert_eq!(runs.load(Ordering::Relaxed), 901, "it is not called again");
-    b.recover(0);
-    b.done(0, to(5.0));
+    b.run(2_000 - b.feedback(0).cycle);
+    assert_eq!(runs.load(Ordering::Relaxed), 901);
     b.assert_grid();
 }
 

@@ -5,11 +5,11 @@ use std::time::Duration;
 use fieldbeat::Flow;
 use fieldbeat::axis::{Abort, Command, CommandId, EventKind, Failure, Link, Outcome, StopCause};
 use fieldbeat::bus::linudp::ErrorCode;
-use fieldbeat::bus::linudp::motion::{Acceleration, MotionCommand, Position, Velocity};
 use fieldbeat::time::MS;
 use fieldbeat_linudp::wire::Request;
 
 use crate::virtual_time::faults::inject;
+use crate::virtual_time::other_masters::go_to;
 use crate::virtual_time::support::*;
 
 /// How one cause comes about in a machine of three axes: 0 is the one that is looked at, 1 is of its group, 2 is alone.
@@ -143,14 +143,8 @@ causes! {
         // It sends the drive elsewhere, with a count of its own.
         strike: |b| {
             b.run(20);
-            let command = MotionCommand::vai_go_to(
-                Position(10_000),
-                Velocity(10_000),
-                Acceleration(100_000),
-                Acceleration(100_000),
-            );
             let own = b.tape(0).last().state.and_then(|state| state.count()).unwrap_or(0);
-            inject(b, Request { motion: Some(command.block((own + 7) & 0xF)), ..Request::default() });
+            inject(b, Request { motion: Some(go_to(10_000).block((own + 7) & 0xF)), ..Request::default() });
         },
         ..CASE
     },

@@ -5,25 +5,15 @@ use std::time::Duration;
 use fieldbeat::axis::{Command, EventKind, StopCause, StopThen, StopTimeout};
 use fieldbeat::bus::linudp::{ControlWord, StateVar};
 use fieldbeat::time::MS;
-use fieldbeat_linudp::wire::{REQUEST_MAX, Request};
+use fieldbeat_linudp::wire::Request;
 
 use super::support::*;
 
-/// The last request with a motion command that the drive has received, as it was on the wire.
-fn last_motion(b: &Bench) -> Vec<u8> {
-    let mut bytes = [0; REQUEST_MAX];
+/// The last request with a motion command that the drive has received.
+fn last_motion(b: &Bench) -> Request {
     let tape = b.tape(0);
-    let motion =
-        tape.received.iter().rev().map(|received| received.request).find(|request| request.motion.is_some());
-    let length = motion.expect("a motion was commanded").emit(&mut bytes);
-    bytes[..length].to_vec()
-}
-
-/// A network delivers an old request once more.
-fn repeat(b: &Bench, request: &[u8]) {
-    let now = b.world().now();
-    assert!(Request::parse(request).is_ok());
-    b.world().inject(address(0), MASTER, request, now);
+    let mut newest = tape.received.iter().rev().map(|received| received.request);
+    newest.find(|request| request.motion.is_some()).expect("a motion was commanded")
 }
 
 fn stops(b: &Bench) -> Vec<StopCause> {
@@ -49,7 +39,8 @@ fn an_axis_that_holds_after_a_stop_is_watched_and_stopped_again_as_often_as_it_m
     let stood = b.feedback(0).status.demand;
     for again in 1..4 {
         assert!(b.feedback(0).status.state.is_powered() && !b.feedback(0).status.moving);
-        repeat(&b, &old[again % 2]);
+        // A network delivers an old request once more.
+        b.inject_request(0, old[again % 2], b.world().now());
         b.until("a further stop", NOTICED_WITHIN, |b| stops(b).len() == 1 + again);
         b.run(300);
         assert_eq!(b.feedback(0).stopped, Some(StopCause::Suspended), "the first cause stays");

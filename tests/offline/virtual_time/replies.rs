@@ -209,9 +209,7 @@ fn what_waits_in_the_socket_before_the_first_request_is_no_reply() {
     let response_def = ResponseDef::CYCLIC;
     let old =
         Response { response_def, status: Some(StatusWord(0x0037)), actual: Some(77), ..Response::default() };
-    let mut bytes = [0; 64];
-    let size = old.emit(&mut bytes);
-    b.world().inject(MASTER, address(0), &bytes[..size], b.world().now());
+    b.inject_reply(0, old, b.world().now());
     for _ in 0..20 {
         b.step();
         assert_ne!(b.feedback(0).status.position, 77.0 / PER_MM);

@@ -335,20 +335,11 @@ impl Carrier for Failing<'_> {
         all
     }
 
-    fn condition(&self) -> Result<Condition, CallError> {
-        self.carrier.condition()
-    }
-
-    fn claim(&self) -> Result<Box<dyn Any + Send>, CallError> {
-        self.carrier.claim()
-    }
-
-    fn capacity(&self) -> usize {
-        self.carrier.capacity()
-    }
-
-    fn pause(&self, time: Duration) {
-        self.carrier.pause(time);
+    crate::forward! { this => this.carrier;
+        fn condition(&self) -> Result<Condition, CallError>;
+        fn claim(&self) -> Result<Box<dyn Any + Send>, CallError>;
+        fn capacity(&self) -> usize;
+        fn pause(&self, time: Duration);
     }
 
     fn bequeath(&self, calls: &[Call]) -> Result<(), CallError> {

@@ -9,14 +9,11 @@ use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;
 
 use fieldbeat::axis::{
-    Abort, Axis, AxisPlan, Command, CommandId, Event, EventKind, Failure, Feedback, Group, GroupCommand, Jog,
-    Limits, Link, Move, Outcome, Profile, Row, StopCause, StopHow, StopPlan, StopThen, StopTimeout, Target,
-    Units,
+    Abort, Axis, Command, CommandId, Event, EventKind, Failure, Feedback, Group, GroupCommand, Jog, Link,
+    Move, Outcome, Profile, Row, StopCause, Target,
 };
 use fieldbeat::bus::BusPlan;
-use fieldbeat::bus::linudp::{
-    DRIVE_PORT, ErrorCode, LinUdpDrive, LinUdpPlan, MASTER_PORT, MonitorPlan, ReplyTag, StreamCommand,
-};
+use fieldbeat::bus::linudp::{DRIVE_PORT, ErrorCode, LinUdpDrive, LinUdpPlan, MASTER_PORT};
 use fieldbeat::sim::linudp::{LinMotSettings, LinMotSim, LinMots};
 use fieldbeat::sim::{FaultPlan, SimDrive, World, WorldOptions};
 use fieldbeat::telemetry::{Numbers, Status};
@@ -27,7 +24,9 @@ use fieldbeat_core::net::{
     Carriers, Datagrams, Outbox, Received, SendMode, Sent, StreamPeer, Streams, UdpOptions,
 };
 use fieldbeat_core::rt::Regions;
-use fieldbeat_linudp::wire::{Request, Response};
+use fieldbeat_linudp::wire::{REQUEST_MAX, RESPONSE_MAX, Request, Response};
+
+use crate::between::{Between, Message, Shared};
 
 pub const MASTER: SocketAddrV4 = SocketAddrV4::new(Ipv4Addr::new(10, 0, 0, 1), MASTER_PORT);
 
@@ -62,8 +61,6 @@ type Tamper = Box<dyn FnMut(&mut Vec<u8>) + Send>;
 #[derive(Default)]
 pub struct Tape {
     pub received: Vec<Delivery>,
-    /// Write nothing down, only follow the extremes.
-    pub paused: bool,
     /// What went out to it since somebody asked for it, by `Some`.
     pub wire: Option<Vec<Spoken>>,
     /// Hears and acts, but its answers are lost.
@@ -97,21 +94,17 @@ struct Taped {
     tape: Arc<Mutex<Tape>>,
 }
 
-impl SimDrive for Taped {
-    crate::forward_sim_drive!(drive);
+impl Between for Taped {
+    fn drive(&mut self) -> &mut dyn SimDrive {
+        &mut self.drive
+    }
 
-    fn receive(
-        &mut self,
-        now: Time,
-        from: SocketAddrV4,
-        bytes: &[u8],
-        reply: &mut Vec<u8>,
-    ) -> Option<SocketAddrV4> {
+    fn receive(&mut self, message: Message<'_>, reply: &mut Vec<u8>) -> Option<SocketAddrV4> {
         let mut tape = self.tape.lock().unwrap();
         if let Some(code) = tape.provoke.take() {
             self.drive.provoke(code);
         }
-        let to = self.drive.receive(now, from, bytes, reply);
+        let to = message.reaches(&mut self.drive, reply);
         let answer = to.and_then(|_| Response::parse(reply).ok());
         if let Some(answer) = &answer
             && let (Some(status), Some(demand)) = (answer.status, answer.demand)
@@ -122,19 +115,13 @@ impl SimDrive for Taped {
             let (low, high) = tape.demand.unwrap_or((demand, demand));
             tape.demand = Some((low.min(demand), high.max(demand)));
         }
-        if !tape.paused
-            && let Ok(request) = Request::parse(bytes)
-        {
-            tape.received.push(Delivery { at: now, request, reply: answer });
+        if let Ok(request) = Request::parse(message.bytes) {
+            tape.received.push(Delivery { at: message.now, request, reply: answer });
         }
         if let (Some(tamper), Some(_)) = (&mut tape.tamper, to) {
             tamper(reply);
         }
         to.filter(|_| !tape.mute)
-    }
-
-    fn restart(&mut self, now: Time) {
-        self.drive.restart(now);
     }
 }
 
@@ -186,8 +173,9 @@ struct JammableCarrier {
 }
 
 impl Datagrams for JammableCarrier {
-    fn fd(&self) -> Option<RawFd> {
-        self.inner.fd()
+    crate::forward! { this => this.inner;
+        fn fd(&self) -> Option<RawFd>;
+        fn batch(&self) -> usize;
     }
 
     fn send(&mut self, outbox: &mut Outbox) {
@@ -218,10 +206,6 @@ impl Datagrams for JammableCarrier {
         self.inner.receive(take)
     }
 
-    fn batch(&self) -> usize {
-        self.inner.batch()
-    }
-
     fn dropped(&self) -> u64 {
         self.inner.dropped() + self.tapes[0].0.lock().unwrap().dropped
     }
@@ -231,39 +215,22 @@ impl Datagrams for JammableCarrier {
 
 /// A drive as most tests want it: 1 kHz, 0 ... 200 mm, homes to 0, starts 10 mm away from it.
 pub fn drive(index: usize) -> LinUdpDrive {
-    LinUdpDrive {
-        axis: AxisPlan {
-            limits: Limits {
-                position: Some(RANGE),
-                velocity: Some(1_000.0),
-                acceleration: Some(20_000.0),
-                ..Limits::default()
-            },
-            profile: Profile { velocity: 200.0, acceleration: 5_000.0, deceleration: 5_000.0 },
-            stop: StopPlan {
-                how: StopHow::Ramp,
-                deceleration: 5_000.0,
-                then: StopThen::Disable,
-                timeout: Duration::from_secs(2),
-                on_timeout: StopTimeout::Disable,
-                standstill: 5.0,
-                standstill_for: 20,
-                group: None,
-            },
-            home_timeout: Duration::from_secs(30),
-            // Jogs without a button to hold.
-            jog_deadman: None,
-            ..AxisPlan::new(format!("x{index}"), Units::millimetres(PER_MM))
-        },
-        address: address(index),
-        serial: None,
-        stream: Some(StreamCommand::Pva),
-        monitor: MonitorPlan::Off,
-        reply_tag: ReplyTag::default(),
-        reply_within: None,
-        sto_after: LinUdpDrive::STO_AFTER,
-        leash: Some(20.0),
-    }
+    let mut drive = LinUdpDrive::new(format!("x{index}"), *address(index).ip());
+    let axis = &mut drive.axis;
+    axis.limits.position = Some(RANGE);
+    (axis.limits.velocity, axis.limits.acceleration) = (Some(1_000.0), Some(20_000.0));
+    axis.profile = Profile { velocity: 200.0, acceleration: 5_000.0, deceleration: 5_000.0 };
+    (axis.stop.deceleration, axis.stop.timeout) = (5_000.0, Duration::from_secs(2));
+    axis.home_timeout = Duration::from_secs(30);
+    // Jogs without a button to hold.
+    axis.jog_deadman = None;
+    drive.leash = Some(20.0);
+    drive
+}
+
+/// The bus of these drives.
+pub fn bus(drives: Vec<LinUdpDrive>) -> LinUdpPlan {
+    LinUdpPlan { name: "linudp".into(), bind: MASTER, send: SendMode::Batch, drives }
 }
 
 /// The simulated drive at an address as most tests want it.
@@ -362,18 +329,13 @@ impl Rig {
         let tapes: Vec<_> = self.drives.iter().map(|_| SharedTape(Arc::default())).collect();
         let taped = |(drive, tape): (&RigDrive, &SharedTape)| {
             let drive = LinMotSim::new(drive.simulate.clone());
-            Box::new(Taped { drive, tape: Arc::clone(&tape.0) }) as Box<dyn SimDrive>
+            Box::new(Shared::new(Taped { drive, tape: Arc::clone(&tape.0) })) as Box<dyn SimDrive>
         };
         let simulated: Vec<_> = self.drives.iter().zip(&tapes).map(taped).collect();
-        let plan = LinUdpPlan {
-            name: "linudp".into(),
-            bind: MASTER,
-            send: SendMode::Batch,
-            drives: self.drives.iter().map(|drive| drive.plan.clone()).collect(),
-        };
+        let plan = bus(self.drives.iter().map(|drive| drive.plan.clone()).collect());
         let period_ns = self.cycle.period_ns;
         let bus = TapedBus { plan, tapes: tapes.clone() };
-        let plan = Plan { source: None, cycle: self.cycle, buses: vec![Box::new(bus)], groups: Vec::new() };
+        let plan = Plan { cycle: self.cycle, buses: vec![Box::new(bus)], ..Plan::default() };
         let mut setup = Master::from_plan(plan);
         if let Some(task) = self.task {
             setup = setup.with_task(task);
@@ -517,6 +479,20 @@ impl Bench {
 
     pub fn world(&self) -> World {
         self.sim.world().clone()
+    }
+
+    /// A request of whoever comes to the drive at this instant.
+    pub fn inject_request(&self, index: usize, request: Request, at: Time) {
+        let mut bytes = [0; REQUEST_MAX];
+        let size = request.emit(&mut bytes);
+        self.sim.world().inject(address(index), MASTER, &bytes[..size], at);
+    }
+
+    /// A reply of the drive comes to the master at this instant.
+    pub fn inject_reply(&self, index: usize, reply: Response, at: Time) {
+        let mut bytes = [0; RESPONSE_MAX];
+        let size = reply.emit(&mut bytes);
+        self.sim.world().inject(MASTER, address(index), &bytes[..size], at);
     }
 
     pub fn tape(&self, index: usize) -> MutexGuard<'_, Tape> {

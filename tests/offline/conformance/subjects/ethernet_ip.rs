@@ -4,7 +4,6 @@
 use std::net::{Ipv4Addr, SocketAddrV4};
 
 use fieldbeat::Axis;
-use fieldbeat::Time;
 use fieldbeat::axis::{AxisPlan, Profile, Unit, Units};
 use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::ethernet_ip;
@@ -13,9 +12,10 @@ use fieldbeat::bus::ethernet_ip::{
     status,
 };
 use fieldbeat::sim::ethernet_ip::{MoonsSettings, MoonsSim};
-use fieldbeat::sim::{Carrier, SimDrive, Simulated};
+use fieldbeat::sim::{SimDrive, Simulated};
 use fieldbeat_ethernet_ip::wire::io::Packet;
 
+use crate::between::{Between, Message, Shared};
 use crate::conformance::line::{GRID, PERIOD};
 use crate::conformance::subject::{Calls, Can, Drive, SOON, Said, Subject};
 
@@ -72,23 +72,13 @@ impl Subject for EthernetIp {
             positions: true,
             home: true,
             jog: true,
-            follow: false,
-            torque: false,
             picks: true,
             identified: true,
-            round_trip: false,
-            answers_after: 0,
             whole: true,
-            awaits: false,
-            stream: false,
             own_clock: true,
             sessions: true,
             steep_stops: true,
-            half_duplex: false,
-            bytes: false,
-            comes_up_off: false,
-            shared: false,
-            rearmed: false,
+            ..Can::default()
         }
     }
 
@@ -127,7 +117,7 @@ impl Subject for EthernetIp {
             settings.running = drive.running.then_some(10_000.0);
             // What befalls a clause's drive is the clause's; its watchdog has its own tests.
             settings.firmware.zs_ms = 0;
-            Box::new(Faulty(MoonsSim::new(settings))) as Box<dyn SimDrive>
+            Box::new(Shared::new(Faulty(MoonsSim::new(settings)))) as Box<dyn SimDrive>
         };
         drives.iter().enumerate().map(simulated).collect::<Vec<_>>().into()
     }
@@ -218,47 +208,16 @@ impl Subject for EthernetIp {
 /// A drive whose hardware can be given a fault.
 struct Faulty(MoonsSim);
 
-impl SimDrive for Faulty {
-    crate::forward_sim_drive!(0);
-
-    fn more_sockets(&self) -> Vec<(Carrier, SocketAddrV4)> {
-        self.0.more_sockets()
+impl Between for Faulty {
+    fn drive(&mut self) -> &mut dyn SimDrive {
+        &mut self.0
     }
 
-    fn next_due(&self) -> Option<Time> {
-        self.0.next_due()
-    }
-
-    fn run(&mut self, now: Time, send: &mut dyn FnMut(usize, SocketAddrV4, &[u8])) {
-        self.0.run(now, send);
-    }
-
-    fn receive_at(
-        &mut self,
-        socket: usize,
-        now: Time,
-        from: SocketAddrV4,
-        bytes: &[u8],
-        reply: &mut Vec<u8>,
-    ) -> Option<SocketAddrV4> {
-        if bytes == FAULT {
+    fn receive(&mut self, message: Message<'_>, reply: &mut Vec<u8>) -> Option<SocketAddrV4> {
+        if message.bytes == FAULT {
             self.0.provoke(OPEN_WINDING);
             return None;
         }
-        self.0.receive_at(socket, now, from, bytes, reply)
-    }
-
-    fn receive(
-        &mut self,
-        now: Time,
-        from: SocketAddrV4,
-        bytes: &[u8],
-        reply: &mut Vec<u8>,
-    ) -> Option<SocketAddrV4> {
-        self.0.receive(now, from, bytes, reply)
-    }
-
-    fn restart(&mut self, now: Time) {
-        self.0.restart(now);
+        message.reaches(&mut self.0, reply)
     }
 }

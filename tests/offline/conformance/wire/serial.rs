@@ -169,16 +169,10 @@ impl SimSerial for TappedSlave {
         });
     }
 
-    fn mislabel(&self, telegram: &mut [u8]) {
-        self.drive.mislabel(telegram);
-    }
-
-    fn restart(&mut self, now: Time) {
-        self.drive.restart(now);
-    }
-
-    fn open_sto(&mut self, until: Time) {
-        self.drive.open_sto(until);
+    crate::forward! { this => this.drive;
+        fn mislabel(&self, telegram: &mut [u8]);
+        fn restart(&mut self, now: Time);
+        fn open_sto(&mut self, until: Time);
     }
 }
 
@@ -200,20 +194,14 @@ impl TappedSerial {
 }
 
 impl Streams for TappedSerial {
-    fn fd(&self) -> Option<RawFd> {
-        self.carrier.fd()
-    }
-
-    fn opened(&mut self) -> Option<usize> {
-        self.carrier.opened()
-    }
-
-    fn look(&mut self) {
-        self.carrier.look();
-    }
-
-    fn ready(&mut self) -> Option<usize> {
-        self.carrier.ready()
+    crate::forward! { this => this.carrier;
+        fn fd(&self) -> Option<RawFd>;
+        fn opened(&mut self) -> Option<usize>;
+        fn look(&mut self);
+        fn ready(&mut self) -> Option<usize>;
+        fn abandon(&mut self, index: usize, why: &'static str);
+        fn notes(&self) -> LinkNotes;
+        fn memory(&self, regions: &mut Regions);
     }
 
     fn receive(&mut self, index: usize, room: &mut [u8]) -> Result<Option<(Time, usize)>, Broken> {
@@ -251,30 +239,12 @@ impl Streams for TappedSerial {
         drop(log);
         self.carrier.send(index, &bytes[..count])
     }
-
-    fn abandon(&mut self, index: usize, why: &'static str) {
-        self.carrier.abandon(index, why);
-    }
-
-    fn notes(&self) -> LinkNotes {
-        self.carrier.notes()
-    }
-
-    fn memory(&self, regions: &mut Regions) {
-        self.carrier.memory(regions);
-    }
 }
 
 impl Serial for TappedSerial {
-    fn unsent(&mut self) -> Result<usize, Broken> {
-        self.carrier.unsent()
-    }
-
-    fn discard(&mut self) -> Result<(), Broken> {
-        self.carrier.discard()
-    }
-
-    fn is_timed(&self) -> bool {
-        self.carrier.is_timed()
+    crate::forward! { this => this.carrier;
+        fn unsent(&mut self) -> Result<usize, Broken>;
+        fn discard(&mut self) -> Result<(), Broken>;
+        fn is_timed(&self) -> bool;
     }
 }

@@ -21,7 +21,7 @@ fn hold(seconds: u64) {
         .collect();
     let taps: Vec<_> = (0..)
         .zip(&drives)
-        .map(|(index, drive)| Tap::new(MoonsSettings { clock: clock(index), ..MoonsSettings::of(drive) }))
+        .map(|(index, drive)| tap(MoonsSettings { clock: clock(index), ..MoonsSettings::of(drive) }))
         .collect();
     let mut m = Moons::of(drives, taps, Originator::at(BIND), WorldOptions::default());
     m.online();

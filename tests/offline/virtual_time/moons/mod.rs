@@ -16,16 +16,17 @@ mod long;
 mod lost;
 
 use std::net::{Ipv4Addr, SocketAddrV4};
-use std::sync::{Arc, Mutex, MutexGuard};
 
 use fieldbeat::axis::{Command, Feedback, Jog, Link, Move, Outcome, Profile, Target};
 use fieldbeat::bus::ethernet_ip::{EthernetIpPlan, Homing, HomingMethod, MoonsDrive, Originator};
 use fieldbeat::sim::ethernet_ip::{MoonsSettings, MoonsSim};
-use fieldbeat::sim::{Carrier, FaultPlan, SimDrive, Simulated, Truth, WorldOptions};
+use fieldbeat::sim::{FaultPlan, SimDrive, Simulated, Truth, WorldOptions};
 use fieldbeat::telemetry::Numbers;
 use fieldbeat::time::MS;
-use fieldbeat::{CyclePlan, Flow, Master, Plan, Simulation, Time};
+use fieldbeat::{Flow, Master, Plan, Simulation, Time};
 use fieldbeat_core::cycle::bound;
+
+use crate::between::{Between, Message, Sender, Shared};
 
 /// Where the master is.
 pub const BIND: Ipv4Addr = Ipv4Addr::new(10, 0, 5, 1);
@@ -67,7 +68,7 @@ pub struct Came {
 }
 
 /// A drive, and what came to it.
-pub struct Shared {
+pub struct Tapped {
     pub drive: MoonsSim,
     pub came: Vec<Came>,
     /// Its packets are lost.
@@ -81,24 +82,18 @@ pub struct Shared {
 }
 
 /// A drive that the world and the test share.
-#[derive(Clone)]
-pub struct Tap(Arc<Mutex<Shared>>);
+pub type Tap = Shared<Tapped>;
 
-impl Tap {
-    pub fn new(settings: MoonsSettings) -> Tap {
-        Tap(Arc::new(Mutex::new(Shared {
-            drive: MoonsSim::new(settings),
-            came: Vec::new(),
-            mute: false,
-            lose: None,
-            sent: 0,
-            connected: Vec::new(),
-        })))
-    }
-
-    pub fn lock(&self) -> MutexGuard<'_, Shared> {
-        self.0.lock().unwrap()
-    }
+/// A drive to which nothing has come.
+pub fn tap(settings: MoonsSettings) -> Tap {
+    Shared::new(Tapped {
+        drive: MoonsSim::new(settings),
+        came: Vec::new(),
+        mute: false,
+        lose: None,
+        sent: 0,
+        connected: Vec::new(),
+    })
 }
 
 fn word(bytes: &[u8]) -> u32 {
@@ -106,99 +101,46 @@ fn word(bytes: &[u8]) -> u32 {
     word.map_or(0, u32::from_le_bytes)
 }
 
-impl SimDrive for Tap {
-    fn address(&self) -> SocketAddrV4 {
-        self.lock().drive.address()
+impl Between for Tapped {
+    fn drive(&mut self) -> &mut dyn SimDrive {
+        &mut self.drive
     }
 
-    fn faults(&self) -> FaultPlan {
-        self.lock().drive.faults()
-    }
-
-    fn carrier(&self) -> Carrier {
-        self.lock().drive.carrier()
-    }
-
-    fn more_sockets(&self) -> Vec<(Carrier, SocketAddrV4)> {
-        self.lock().drive.more_sockets()
-    }
-
-    fn next_due(&self) -> Option<Time> {
-        self.lock().drive.next_due()
-    }
-
-    fn run(&mut self, now: Time, send: &mut dyn FnMut(usize, SocketAddrV4, &[u8])) {
-        let shared = &mut *self.lock();
-        let (mute, sent) = (shared.mute, &mut shared.sent);
-        shared.drive.run(now, &mut |socket, to, bytes| {
+    fn run(&mut self, now: Time, send: &mut Sender<'_>) {
+        let Tapped { drive, mute, sent, .. } = self;
+        drive.run(now, &mut |socket, to, bytes| {
             *sent += u64::from(socket == PACKETS);
-            if socket != PACKETS || !mute {
+            if socket != PACKETS || !*mute {
                 send(socket, to, bytes);
             }
         });
     }
 
-    fn receive_at(
-        &mut self,
-        socket: usize,
-        now: Time,
-        from: SocketAddrV4,
-        bytes: &[u8],
-        reply: &mut Vec<u8>,
-    ) -> Option<SocketAddrV4> {
-        let shared = &mut *self.lock();
-        if socket == PACKETS {
-            let word = word(bytes);
-            if let Some((lost, left @ 1..)) = shared.lose
+    fn receive(&mut self, message: Message<'_>, reply: &mut Vec<u8>) -> Option<SocketAddrV4> {
+        if message.socket == PACKETS {
+            let word = word(message.bytes);
+            if let Some((lost, left @ 1..)) = self.lose
                 && lost == word
             {
-                shared.lose = Some((lost, left - 1));
+                self.lose = Some((lost, left - 1));
                 return None;
             }
-            shared.came.push(Came { at: now, word });
+            self.came.push(Came { at: message.now, word });
         }
-        shared.drive.receive_at(socket, now, from, bytes, reply)
-    }
-
-    fn receive(
-        &mut self,
-        now: Time,
-        from: SocketAddrV4,
-        bytes: &[u8],
-        reply: &mut Vec<u8>,
-    ) -> Option<SocketAddrV4> {
-        self.receive_at(0, now, from, bytes, reply)
+        message.reaches(&mut self.drive, reply)
     }
 
     fn connect(&mut self, now: Time, from: SocketAddrV4) -> bool {
-        let shared = &mut *self.lock();
-        let accepts = shared.drive.connect(now, from);
+        let accepts = self.drive.connect(now, from);
         if accepts {
-            shared.connected.push(from);
+            self.connected.push(from);
         }
         accepts
     }
 
-    fn hangs_up(&mut self, from: SocketAddrV4) -> bool {
-        self.lock().drive.hangs_up(from)
-    }
-
     fn disconnected(&mut self, now: Time, from: SocketAddrV4) {
-        let shared = &mut *self.lock();
-        shared.connected.retain(|one| *one != from);
-        shared.drive.disconnected(now, from);
-    }
-
-    fn mislabel(&self, reply: &mut [u8]) {
-        self.lock().drive.mislabel(reply);
-    }
-
-    fn restart(&mut self, now: Time) {
-        self.lock().drive.restart(now);
-    }
-
-    fn open_sto(&mut self, until: Time) {
-        self.lock().drive.open_sto(until);
+        self.connected.retain(|one| *one != from);
+        self.drive.disconnected(now, from);
     }
 }
 
@@ -206,14 +148,8 @@ impl SimDrive for Tap {
 pub struct Moons {
     pub sim: Simulation,
     pub taps: Vec<Tap>,
-    plan: Plan,
     /// The slot 0 of the grid.
     origin: Time,
-}
-
-fn plan(drives: &[MoonsDrive], originator: Originator) -> Plan {
-    let bus = EthernetIpPlan { originator, ..EthernetIpPlan::new(BIND, drives.to_vec()) };
-    Plan { source: None, cycle: CyclePlan::default(), buses: vec![Box::new(bus)], groups: Vec::new() }
 }
 
 impl Moons {
@@ -227,7 +163,7 @@ impl Moons {
         let simulated = |drive: &MoonsDrive| {
             let mut settings = MoonsSettings::of(drive);
             change(&mut settings);
-            Tap::new(settings)
+            tap(settings)
         };
         let taps = drives.iter().map(simulated).collect();
         Moons::of(drives, taps, Originator::at(BIND), WorldOptions::default())
@@ -242,10 +178,10 @@ impl Moons {
     ) -> Moons {
         let shared: Vec<_> = taps.iter().map(|tap| Box::new(tap.clone()) as Box<dyn SimDrive>).collect();
         let origin = options.start + options.read_ns + 2 * MS;
-        let setup = Master::from_plan(plan(&drives, originator));
-        let sim =
-            setup.simulate_with(Simulated::from(shared), options).unwrap_or_else(|error| panic!("{error}"));
-        Moons { sim, taps, plan: plan(&drives, originator), origin }
+        let bus = EthernetIpPlan { originator, ..EthernetIpPlan::new(BIND, drives) };
+        let plan = Plan { buses: vec![Box::new(bus)], ..Plan::default() };
+        let sim = Master::from_plan(plan).simulate_with(Simulated::from(shared), options);
+        Moons { sim: sim.unwrap_or_else(|error| panic!("{error}")), taps, origin }
     }
 
     /// The master's process dies without an end, and another one starts so many milliseconds later.
@@ -343,7 +279,7 @@ impl Moons {
 
     /// The stop bound that `check` states.
     pub fn bound(&self, index: usize) -> u64 {
-        bound::stop_bound(&self.plan, index)
+        bound::stop_bound(self.sim.plan(), index)
     }
 
     pub fn io(&self, index: usize) -> SocketAddrV4 {

@@ -3,8 +3,10 @@
 use std::net::SocketAddrV4;
 use std::sync::{Arc, Mutex};
 
-use fieldbeat::sim::{Carrier, SimDrive, SimSegment, SimSerial, Simulated};
+use fieldbeat::sim::{SimDrive, SimSegment, SimSerial, Simulated};
 use fieldbeat::time::Time;
+
+use crate::between::{Between, Message, Sender, Shared};
 
 /// What passed: when, and the bytes.
 pub type Passed = Vec<(Time, Vec<u8>)>;
@@ -34,7 +36,7 @@ impl Logs {
             let log = Log::default();
             logs.drives.push((drive.address(), Arc::clone(&log)));
             let socket = if drive.more_sockets().is_empty() { 0 } else { socket };
-            simulated.drives.push(Box::new(Drive { socket, drive, log }));
+            simulated.drives.push(Box::new(Shared::new(Drive { socket, drive, log })));
         }
         for segment in std::mem::take(&mut simulated.segments) {
             let log = Log::default();
@@ -75,18 +77,12 @@ struct Drive {
     log: Log,
 }
 
-impl SimDrive for Drive {
-    crate::forward_sim_drive!(drive);
-
-    fn more_sockets(&self) -> Vec<(Carrier, SocketAddrV4)> {
-        self.drive.more_sockets()
+impl Between for Drive {
+    fn drive(&mut self) -> &mut dyn SimDrive {
+        &mut *self.drive
     }
 
-    fn next_due(&self) -> Option<Time> {
-        self.drive.next_due()
-    }
-
-    fn run(&mut self, now: Time, send: &mut dyn FnMut(usize, SocketAddrV4, &[u8])) {
+    fn run(&mut self, now: Time, send: &mut Sender<'_>) {
         let Drive { drive, socket, log } = self;
         drive.run(now, &mut |from, to, bytes| {
             if from == *socket {
@@ -96,37 +92,16 @@ impl SimDrive for Drive {
         });
     }
 
-    fn receive_at(
-        &mut self,
-        socket: usize,
-        now: Time,
-        from: SocketAddrV4,
-        bytes: &[u8],
-        reply: &mut Vec<u8>,
-    ) -> Option<SocketAddrV4> {
-        let to = self.drive.receive_at(socket, now, from, bytes, reply);
-        if socket == self.socket {
+    fn receive(&mut self, message: Message<'_>, reply: &mut Vec<u8>) -> Option<SocketAddrV4> {
+        let to = message.reaches(&mut *self.drive, reply);
+        if message.socket == self.socket {
             let mut log = self.log.lock().unwrap();
-            log.to.push((now, bytes.to_vec()));
+            log.to.push((message.now, message.bytes.to_vec()));
             if to.is_some() {
-                log.from.push((now, reply.clone()));
+                log.from.push((message.now, reply.clone()));
             }
         }
         to
-    }
-
-    fn receive(
-        &mut self,
-        now: Time,
-        from: SocketAddrV4,
-        bytes: &[u8],
-        reply: &mut Vec<u8>,
-    ) -> Option<SocketAddrV4> {
-        self.receive_at(0, now, from, bytes, reply)
-    }
-
-    fn restart(&mut self, now: Time) {
-        self.drive.restart(now);
     }
 }
 
@@ -138,16 +113,12 @@ struct Segment {
 impl SimSegment for Segment {
     crate::forward_sim_line!(this => *this.segment);
 
-    fn interface(&self) -> &str {
-        self.segment.interface()
-    }
-
-    fn own_interface(&self) -> Option<&str> {
-        self.segment.own_interface()
-    }
-
-    fn slaves(&self) -> usize {
-        self.segment.slaves()
+    crate::forward! { this => this.segment;
+        fn interface(&self) -> &str;
+        fn own_interface(&self) -> Option<&str>;
+        fn slaves(&self) -> usize;
+        fn advance(&mut self, now: Time);
+        fn restart(&mut self, now: Time, place: usize);
     }
 
     fn pass(&mut self, now: Time, frame: &mut [u8]) -> bool {
@@ -158,14 +129,6 @@ impl SimSegment for Segment {
             log.from.push((now, frame.to_vec()));
         }
         returns
-    }
-
-    fn advance(&mut self, now: Time) {
-        self.segment.advance(now);
-    }
-
-    fn restart(&mut self, now: Time, place: usize) {
-        self.segment.restart(now, place);
     }
 }
 
@@ -180,8 +143,11 @@ impl SimSerial for Serial {
         self.drive.receive(now, bytes);
     }
 
-    fn next_due(&self) -> Option<Time> {
-        self.drive.next_due()
+    crate::forward! { this => this.drive;
+        fn next_due(&self) -> Option<Time>;
+        fn mislabel(&self, telegram: &mut [u8]);
+        fn restart(&mut self, now: Time);
+        fn open_sto(&mut self, until: Time);
     }
 
     fn run(&mut self, now: Time, out: &mut Vec<u8>) {
@@ -190,17 +156,5 @@ impl SimSerial for Serial {
         if out.len() > begin {
             self.log.lock().unwrap().from.push((now, out[begin..].to_vec()));
         }
-    }
-
-    fn mislabel(&self, telegram: &mut [u8]) {
-        self.drive.mislabel(telegram);
-    }
-
-    fn restart(&mut self, now: Time) {
-        self.drive.restart(now);
-    }
-
-    fn open_sto(&mut self, until: Time) {
-        self.drive.open_sto(until);
     }
 }

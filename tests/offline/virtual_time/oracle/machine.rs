@@ -3,17 +3,17 @@
 use std::collections::{BTreeMap, VecDeque};
 use std::net::{Ipv4Addr, SocketAddrV4};
 use std::ops::Range;
-use std::sync::{Arc, Mutex, MutexGuard};
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use fieldbeat::axis::{
-    AxisPlan, CallTicket, HeldBy, Limits, Link, Load, Profile, StopPlan, StopThen, StopTimeout, Unit, Units,
+    AxisPlan, CallTicket, HeldBy, Limits, Link, Load, Profile, StopPlan, StopThen, StopTimeout,
 };
 use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::ethercat::{EthercatPlan, Family, KollmorgenDrive};
 use fieldbeat::bus::ethernet_ip::{EthernetIpPlan, Explicit, Homing, HomingMethod, MoonsDrive};
 use fieldbeat::bus::linudp::motion::{Acceleration, MotionCommand, Position, Velocity};
-use fieldbeat::bus::linudp::{ControlWord, ErrorCode, LinUdpDrive, LinUdpPlan, ReplyTag};
+use fieldbeat::bus::linudp::{ControlWord, ErrorCode, LinUdpDrive, ReplyTag};
 use fieldbeat::bus::modbus::{ModbusPlan, Trip, UnidriveDrive, Via};
 use fieldbeat::bus::profibus::{DriveProfile, LenzeDrive, Numbers, ParameterPath, ProfibusPlan};
 use fieldbeat::sim::ethercat::{EthercatSegment, EthercatSim};
@@ -21,14 +21,14 @@ use fieldbeat::sim::ethernet_ip::{ClockSettings, Edges, MoonsSettings, MoonsSim}
 use fieldbeat::sim::linudp::{LinMotSettings, LinMotSim};
 use fieldbeat::sim::modbus::{UnidriveSettings, UnidriveSim};
 use fieldbeat::sim::profibus::{Misuse, ProfibusSegment};
-use fieldbeat::sim::{Carrier, FaultPlan, SimDrive, SimSegment, Simulated, Truth, World, WorldOptions};
+use fieldbeat::sim::{SimDrive, SimSegment, Simulated, Truth, World, WorldOptions};
 use fieldbeat::time::{MS, Time, US};
 use fieldbeat::{CyclePlan, Master, Plan, Simulation};
-use fieldbeat_core::net::SendMode;
 use fieldbeat_ethercat::wire::registers::{AlState, AlStatus, address as register};
 use fieldbeat_linudp::wire::{Request, Response, ResponseDef};
 use fieldbeat_modbus::Mapping;
 
+use crate::between::{Between, Message, Sender, Shared};
 use crate::proposing::ProposingPlan;
 use crate::virtual_time::kollmorgen::{self, LINE};
 use crate::virtual_time::lenze::PORT;
@@ -96,8 +96,9 @@ fn foreign(number: usize, address: u8) -> Vec<Vec<u8>> {
 }
 
 /// A protocol.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Kind {
+    #[default]
     LinMot,
     Unidrive,
     /// A drive with its own clock, whose commands are edges.
@@ -124,7 +125,7 @@ impl Kind {
 }
 
 /// A machine to be built.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Shape {
     pub kind: Kind,
     /// After a stop the axes hold; else their power goes off.
@@ -151,19 +152,7 @@ pub struct Shape {
 impl Shape {
     /// The plain one of a protocol.
     pub fn of(kind: Kind) -> Shape {
-        Shape {
-            kind,
-            hold: false,
-            other: false,
-            free_writes: true,
-            group: 0,
-            held: 0,
-            alike: false,
-            operated: false,
-            short: 0,
-            period_ns: MS,
-            proposals: false,
-        }
+        Shape { kind, free_writes: true, period_ns: MS, ..Shape::default() }
     }
 
     /// Axes that a group has: those of the stop group, from the first one on.
@@ -183,7 +172,7 @@ impl Shape {
 }
 
 /// How an axis is judged, in its units.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 pub struct Scale {
     /// The largest speed that it may have, and the acceleration of its commands.
     pub velocity: f64,
@@ -210,7 +199,7 @@ enum Drive {
 }
 
 /// Such a drive, and what was said on its wire.
-pub struct Shared {
+struct Tapped {
     drive: Drive,
     requests: VecDeque<Vec<u8>>,
     motions: VecDeque<Vec<u8>>,
@@ -225,7 +214,7 @@ pub struct Shared {
     connected: Vec<SocketAddrV4>,
 }
 
-impl Shared {
+impl Tapped {
     fn remember(&mut self, reply: Response) {
         let (Some(status), Some(state)) = (reply.status, reply.state) else { return };
         self.states.entry((status.0, state.main().0)).or_insert([reply; 2])[1] = reply;
@@ -246,118 +235,79 @@ fn keep(kept: &mut VecDeque<Vec<u8>>, most: usize, bytes: &[u8]) {
     kept.push_front(entry);
 }
 
-#[derive(Clone)]
-struct Tap(Arc<Mutex<Shared>>);
+type Tap = Shared<Tapped>;
 
-impl Tap {
-    fn new(drive: Drive) -> Tap {
-        Tap(Arc::new(Mutex::new(Shared {
-            drive,
-            requests: VecDeque::new(),
-            motions: VecDeque::new(),
-            replies: VecDeque::new(),
-            states: BTreeMap::new(),
-            old: VecDeque::new(),
-            replied: 0,
-            lose: [0; 2],
-            connected: Vec::new(),
-        })))
-    }
+fn tap(drive: Drive) -> Tap {
+    Shared::new(Tapped {
+        drive,
+        requests: VecDeque::new(),
+        motions: VecDeque::new(),
+        replies: VecDeque::new(),
+        states: BTreeMap::new(),
+        old: VecDeque::new(),
+        replied: 0,
+        lose: [0; 2],
+        connected: Vec::new(),
+    })
+}
 
-    fn lock(&self) -> MutexGuard<'_, Shared> {
-        self.0.lock().unwrap()
-    }
+/// Whether this one is still to be lost.
+fn takes(left: &mut u32) -> bool {
+    let takes = *left > 0;
+    *left -= u32::from(takes);
+    takes
+}
 
-    fn with<R>(&self, f: impl FnOnce(&mut dyn SimDrive) -> R) -> R {
-        match &mut self.lock().drive {
-            Drive::LinMot(drive) => f(drive.as_mut()),
-            Drive::Moons(drive) => f(drive.as_mut()),
-            Drive::Unidrive(drive) => f(drive.as_mut()),
+impl Between for Tapped {
+    fn drive(&mut self) -> &mut dyn SimDrive {
+        match &mut self.drive {
+            Drive::LinMot(drive) => drive.as_mut(),
+            Drive::Moons(drive) => drive.as_mut(),
+            Drive::Unidrive(drive) => drive.as_mut(),
         }
     }
-}
 
-impl std::fmt::Debug for Tap {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str("Tap")
-    }
-}
-
-impl SimDrive for Tap {
-    fn address(&self) -> SocketAddrV4 {
-        self.with(|drive| drive.address())
-    }
-
-    fn faults(&self) -> FaultPlan {
-        self.with(|drive| drive.faults())
-    }
-
-    fn carrier(&self) -> Carrier {
-        self.with(|drive| drive.carrier())
-    }
-
-    fn receive(
-        &mut self,
-        now: Time,
-        from: SocketAddrV4,
-        bytes: &[u8],
-        reply: &mut Vec<u8>,
-    ) -> Option<SocketAddrV4> {
-        let mut shared = self.lock();
-        let shared = &mut *shared;
-        let drive = match &mut shared.drive {
-            // A connection carries its bytes in their order: none of them is repeated late.
-            Drive::Unidrive(drive) => return drive.receive(now, from, bytes, reply),
-            Drive::Moons(drive) => return drive.receive(now, from, bytes, reply),
-            Drive::LinMot(drive) => drive,
+    fn receive(&mut self, message: Message<'_>, reply: &mut Vec<u8>) -> Option<SocketAddrV4> {
+        // A connection carries its bytes in their order: none of them is repeated late.
+        let commands = match &self.drive {
+            Drive::LinMot(_) => Request::parse(message.bytes).is_ok_and(|request| request.motion.is_some()),
+            Drive::Moons(_) if message.socket == PACKETS => {
+                let word = message.bytes.get(COMMAND_WORD..COMMAND_WORD + 4);
+                word.is_some_and(|word| word != [0; 4])
+            }
+            Drive::Moons(_) | Drive::Unidrive(_) => return message.reaches(self.drive(), reply),
         };
-        if shared.lose[0] > 0 {
-            shared.lose[0] -= 1;
+        if takes(&mut self.lose[0]) {
             return None;
         }
-        keep(&mut shared.requests, KEPT, bytes);
-        if Request::parse(bytes).is_ok_and(|request| request.motion.is_some())
-            && shared.motions.front().is_none_or(|last| last != bytes)
-        {
-            keep(&mut shared.motions, KEPT_MOTIONS, bytes);
+        keep(&mut self.requests, KEPT, message.bytes);
+        if commands && self.motions.front().is_none_or(|last| last != message.bytes) {
+            keep(&mut self.motions, KEPT_MOTIONS, message.bytes);
         }
-        let to = drive.receive(now, from, bytes, reply)?;
-        keep(&mut shared.replies, KEPT, reply);
+        let to = message.reaches(self.drive(), reply)?;
+        keep(&mut self.replies, KEPT, reply);
         if let Ok(reply) = Response::parse(reply) {
-            shared.remember(reply);
+            self.remember(reply);
         }
-        if shared.lose[1] > 0 {
-            shared.lose[1] -= 1;
-            return None;
-        }
-        Some(to)
+        (!takes(&mut self.lose[1])).then_some(to)
     }
 
     fn connect(&mut self, now: Time, from: SocketAddrV4) -> bool {
-        let accepts = self.with(|drive| drive.connect(now, from));
+        let accepts = self.drive().connect(now, from);
         if accepts {
-            self.lock().connected.push(from);
+            self.connected.push(from);
         }
         accepts
     }
 
-    fn more_sockets(&self) -> Vec<(Carrier, SocketAddrV4)> {
-        self.with(|drive| drive.more_sockets())
-    }
-
-    fn next_due(&self) -> Option<Time> {
-        self.with(|drive| drive.next_due())
-    }
-
-    fn run(&mut self, now: Time, send: &mut dyn FnMut(usize, SocketAddrV4, &[u8])) {
-        let Shared { drive, replies, lose, .. } = &mut *self.lock();
+    fn run(&mut self, now: Time, send: &mut Sender<'_>) {
+        let Tapped { drive, replies, lose, .. } = self;
         // The others have no clock of their own.
         let Drive::Moons(drive) = drive else { return };
         drive.run(now, &mut |socket, to, bytes| {
             if socket == PACKETS {
                 keep(replies, KEPT, bytes);
-                if lose[1] > 0 {
-                    lose[1] -= 1;
+                if takes(&mut lose[1]) {
                     return;
                 }
             }
@@ -365,49 +315,9 @@ impl SimDrive for Tap {
         });
     }
 
-    fn receive_at(
-        &mut self,
-        socket: usize,
-        now: Time,
-        from: SocketAddrV4,
-        bytes: &[u8],
-        reply: &mut Vec<u8>,
-    ) -> Option<SocketAddrV4> {
-        if socket != PACKETS {
-            return match socket {
-                0 => self.receive(now, from, bytes, reply),
-                _ => self.with(|drive| drive.receive_at(socket, now, from, bytes, reply)),
-            };
-        }
-        let Shared { drive, requests, motions, lose, .. } = &mut *self.lock();
-        if lose[0] > 0 {
-            lose[0] -= 1;
-            return None;
-        }
-        keep(requests, KEPT, bytes);
-        let commands = bytes.get(COMMAND_WORD..COMMAND_WORD + 4).is_some_and(|word| word != [0; 4]);
-        if commands && motions.front().is_none_or(|last| last != bytes) {
-            keep(motions, KEPT_MOTIONS, bytes);
-        }
-        let Drive::Moons(drive) = drive else { return None };
-        drive.receive_at(socket, now, from, bytes, reply)
-    }
-
-    fn hangs_up(&mut self, from: SocketAddrV4) -> bool {
-        self.with(|drive| drive.hangs_up(from))
-    }
-
     fn disconnected(&mut self, now: Time, from: SocketAddrV4) {
-        self.lock().connected.retain(|one| *one != from);
-        self.with(|drive| drive.disconnected(now, from));
-    }
-
-    fn restart(&mut self, now: Time) {
-        self.with(|drive| drive.restart(now));
-    }
-
-    fn open_sto(&mut self, until: Time) {
-        self.with(|drive| drive.open_sto(until));
+        self.connected.retain(|one| *one != from);
+        self.drive().disconnected(now, from);
     }
 }
 
@@ -418,12 +328,6 @@ struct TapLine(Arc<Mutex<(EthercatSim, VecDeque<Vec<u8>>)>>);
 impl TapLine {
     fn with<R>(&self, f: impl FnOnce(&mut EthercatSim) -> R) -> R {
         f(&mut self.0.lock().unwrap().0)
-    }
-}
-
-impl std::fmt::Debug for TapLine {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str("TapLine")
     }
 }
 
@@ -464,9 +368,7 @@ pub struct Machine {
     pub shape: Shape,
     pub plans: Vec<AxisPlan>,
     pub scales: Vec<Scale>,
-    taps: Vec<Tap>,
-    line: Option<TapLine>,
-    wire: Option<TapWire>,
+    held: Held,
     addresses: Vec<SocketAddrV4>,
     /// Calls under way: a ticket that is dropped would cancel its call.
     pub calls: Vec<CallTicket>,
@@ -511,7 +413,6 @@ fn linmot(index: usize, shape: Shape) -> LinUdpDrive {
 fn unidrive(index: usize, shape: Shape) -> UnidriveDrive {
     let address = Ipv4Addr::new(10, 0, 3, 1 + index as u8);
     let mut drive = UnidriveDrive::new(format!("u{index}"), address);
-    drive.axis.units = Units { unit: Unit::Revolution, counts_per_unit: 1.0, offset: 0.0, modulo: None };
     shorten(&mut drive.axis, index, shape, 8.0, 160.0);
     drive.via = if shape.other { Via::Menu0 { first: 11 } } else { Via::Direct };
     drive.reply_within_ns = 5 * MS;
@@ -568,123 +469,117 @@ fn profibus(shape: Shape) -> ProfibusPlan {
     plan.in_turn(plan.least_divisor(CyclePlan::default().grid()).expect("there is one"))
 }
 
-/// The buses of a machine, on drives that are there already or on new ones.
-fn buses(
-    shape: Shape,
-    taps: &mut Vec<Tap>,
-    line: &mut Option<TapLine>,
-    wire: &mut Option<TapWire>,
-) -> Vec<Box<dyn BusPlan>> {
-    match shape.kind {
-        Kind::Mixed => (0..AXES)
-            .map(|index| {
-                let shape = Shape { kind: shape.kind.of(index), ..shape };
-                bus(shape, index..index + 1, taps, line, wire)
-            })
-            .collect(),
-        _ => vec![bus(shape, 0..AXES, taps, line, wire)],
-    }
+/// The drives of a machine, or their segment or wire, as the test holds them.
+#[derive(Default)]
+struct Held {
+    taps: Vec<Tap>,
+    line: Option<TapLine>,
+    wire: Option<TapWire>,
 }
 
-/// A bus with the axes of these places.
-fn bus(
-    shape: Shape,
-    places: Range<usize>,
-    taps: &mut Vec<Tap>,
-    line: &mut Option<TapLine>,
-    wire: &mut Option<TapWire>,
-) -> Box<dyn BusPlan> {
-    let fresh = taps.len() <= places.start;
-    match shape.kind {
-        Kind::Mixed => unreachable!("each of its axes has a bus of its own"),
-        Kind::LinMot => {
-            let drives: Vec<_> = places.clone().map(|index| linmot(index, shape)).collect();
-            if fresh {
-                // Short homing.
-                let drive = |(drive, index): (&LinUdpDrive, usize)| {
-                    let mut settings = LinMotSettings {
-                        start_position: 10_000,
-                        stream_period_ns: shape.period_ns,
-                        ..support::simulated(drive)
+impl Held {
+    /// The buses of a machine, on drives that are there already or on new ones.
+    fn buses(&mut self, shape: Shape) -> Vec<Box<dyn BusPlan>> {
+        match shape.kind {
+            Kind::Mixed => (0..AXES)
+                .map(|index| {
+                    let shape = Shape { kind: shape.kind.of(index), ..shape };
+                    self.bus(shape, index..index + 1)
+                })
+                .collect(),
+            _ => vec![self.bus(shape, 0..AXES)],
+        }
+    }
+
+    /// A bus with the axes of these places.
+    fn bus(&mut self, shape: Shape, places: Range<usize>) -> Box<dyn BusPlan> {
+        let fresh = self.taps.len() <= places.start;
+        match shape.kind {
+            Kind::Mixed => unreachable!("each of its axes has a bus of its own"),
+            Kind::LinMot => {
+                let drives: Vec<_> = places.clone().map(|index| linmot(index, shape)).collect();
+                if fresh {
+                    // Short homing.
+                    let drive = |(drive, index): (&LinUdpDrive, usize)| {
+                        let mut settings = LinMotSettings {
+                            start_position: 10_000,
+                            stream_period_ns: shape.period_ns,
+                            ..support::simulated(drive)
+                        };
+                        if shape.short >> index & 1 != 0 {
+                            settings.range.1 = 700_000;
+                        }
+                        tap(Drive::LinMot(LinMotSim::new(settings).into()))
                     };
-                    if shape.short >> index & 1 != 0 {
-                        settings.range.1 = 700_000;
-                    }
-                    Tap::new(Drive::LinMot(LinMotSim::new(settings).into()))
-                };
-                taps.extend(drives.iter().zip(places).map(drive));
-            }
-            Box::new(LinUdpPlan { name: "linudp".into(), bind: MASTER, send: SendMode::Batch, drives })
-        }
-        Kind::Unidrive => {
-            let drives: Vec<_> = places.map(|index| unidrive(index, shape)).collect();
-            if fresh {
-                let settings =
-                    |drive| UnidriveSettings { ramps_s: (0.005, 0.005), ..UnidriveSettings::new(drive) };
-                let drive = |plan: &UnidriveDrive| {
-                    Tap::new(Drive::Unidrive(UnidriveSim::new(settings(plan.address)).into()))
-                };
-                taps.extend(drives.iter().map(drive));
-            }
-            Box::new(ModbusPlan::new(drives))
-        }
-        Kind::Moons => {
-            let drives: Vec<_> = places.map(|index| moons(index, shape)).collect();
-            if fresh {
-                let drive = |plan: &MoonsDrive| {
-                    let mut settings = MoonsSettings::of(plan);
-                    settings.motor.start = 4_000;
-                    if shape.other {
-                        settings.firmware.edges = Edges::Strict;
-                        settings.clock = ClockSettings { drift_ppm: 200, jitter_ns: 300 * US, seed: 1 };
-                    }
-                    Tap::new(Drive::Moons(MoonsSim::new(settings).into()))
-                };
-                taps.extend(drives.iter().map(drive));
-            }
-            Box::new(EthernetIpPlan::new(SCANNER, drives))
-        }
-        Kind::Lenze => {
-            let plan = profibus(shape);
-            wire.get_or_insert_with(|| {
-                let mut segment = ProfibusSegment::of(&plan);
-                segment.drives.iter_mut().for_each(|drive| drive.motor.ramps_s = (0.01, 0.01, 0.01));
-                TapWire::new(segment)
-            });
-            Box::new(plan)
-        }
-        Kind::Kollmorgen => {
-            let drives = places.map(|place| kollmorgen(place as u16, shape)).collect();
-            let plan = EthercatPlan::new(LINE, drives);
-            line.get_or_insert_with(|| {
-                let mut segment = EthercatSegment::from(plan.clone());
-                for drive in &mut segment.drives {
-                    (drive.home_turns, drive.ramps_rpm_s) = (Some(0.03), (60_000, 60_000));
+                    self.taps.extend(drives.iter().zip(places).map(drive));
                 }
-                TapLine(Arc::new(Mutex::new((EthercatSim::new(&segment), VecDeque::new()))))
-            });
-            Box::new(plan)
+                Box::new(support::bus(drives))
+            }
+            Kind::Unidrive => {
+                let drives: Vec<_> = places.map(|index| unidrive(index, shape)).collect();
+                if fresh {
+                    let settings =
+                        |drive| UnidriveSettings { ramps_s: (0.005, 0.005), ..UnidriveSettings::new(drive) };
+                    let drive = |plan: &UnidriveDrive| {
+                        tap(Drive::Unidrive(UnidriveSim::new(settings(plan.address)).into()))
+                    };
+                    self.taps.extend(drives.iter().map(drive));
+                }
+                Box::new(ModbusPlan::new(drives))
+            }
+            Kind::Moons => {
+                let drives: Vec<_> = places.map(|index| moons(index, shape)).collect();
+                if fresh {
+                    let drive = |plan: &MoonsDrive| {
+                        let mut settings = MoonsSettings::of(plan);
+                        settings.motor.start = 4_000;
+                        if shape.other {
+                            settings.firmware.edges = Edges::Strict;
+                            settings.clock = ClockSettings { drift_ppm: 200, jitter_ns: 300 * US, seed: 1 };
+                        }
+                        tap(Drive::Moons(MoonsSim::new(settings).into()))
+                    };
+                    self.taps.extend(drives.iter().map(drive));
+                }
+                Box::new(EthernetIpPlan::new(SCANNER, drives))
+            }
+            Kind::Lenze => {
+                let plan = profibus(shape);
+                self.wire.get_or_insert_with(|| {
+                    let mut segment = ProfibusSegment::of(&plan);
+                    segment.drives.iter_mut().for_each(|drive| drive.motor.ramps_s = (0.01, 0.01, 0.01));
+                    TapWire::new(segment)
+                });
+                Box::new(plan)
+            }
+            Kind::Kollmorgen => {
+                let drives = places.map(|place| kollmorgen(place as u16, shape)).collect();
+                let plan = EthercatPlan::new(LINE, drives);
+                self.line.get_or_insert_with(|| {
+                    let mut segment = EthercatSegment::from(plan.clone());
+                    for drive in &mut segment.drives {
+                        (drive.home_turns, drive.ramps_rpm_s) = (Some(0.03), (60_000, 60_000));
+                    }
+                    TapLine(Arc::new(Mutex::new((EthercatSim::new(&segment), VecDeque::new()))))
+                });
+                Box::new(plan)
+            }
         }
     }
-}
 
-/// The drives, or the segment, that the test holds.
-fn drives(taps: &[Tap], line: Option<&TapLine>, wire: Option<&TapWire>) -> Simulated {
-    Simulated {
-        drives: taps.iter().map(|tap| Box::new(tap.clone()) as Box<dyn SimDrive>).collect(),
-        segments: line.map(|line| Box::new(line.clone()) as Box<dyn SimSegment>).into_iter().collect(),
-        wires: wire.map(TapWire::wire).into_iter().collect(),
+    /// The same for a world.
+    fn simulated(&self) -> Simulated {
+        Simulated {
+            drives: self.taps.iter().map(|tap| Box::new(tap.clone()) as Box<dyn SimDrive>).collect(),
+            segments: self.line.iter().map(|line| Box::new(line.clone()) as Box<dyn SimSegment>).collect(),
+            wires: self.wire.iter().map(TapWire::wire).collect(),
+        }
     }
 }
 
 /// A master of such a machine, from `start` on.
-fn master(
-    shape: Shape,
-    buses: Vec<Box<dyn BusPlan>>,
-    drives: Simulated,
-    start: Option<Time>,
-    log: Option<&Log>,
-) -> Simulation {
+fn master(shape: Shape, held: &mut Held, start: Option<Time>, log: Option<&Log>) -> Simulation {
+    let buses = held.buses(shape);
     let options = WorldOptions::default();
     let options = WorldOptions { start: start.unwrap_or(options.start), ..options };
     let proposing = |plan| Box::new(ProposingPlan { plan, seed: 1 }) as Box<dyn BusPlan>;
@@ -693,18 +588,18 @@ fn master(
     if let Some(log) = log {
         setup = log.of(setup);
     }
-    setup.simulate_with(drives, options).unwrap_or_else(|error| panic!("{error}"))
+    setup.simulate_with(held.simulated(), options).unwrap_or_else(|error| panic!("{error}"))
 }
 
 fn plan_of(shape: Shape, buses: Vec<Box<dyn BusPlan>>) -> Plan {
     let reference = (shape.kind == Kind::Kollmorgen && shape.other).then(|| buses[0].name().to_owned());
     let cycle = CyclePlan { reference, period_ns: shape.period_ns, ..CyclePlan::default() };
-    Plan { source: None, cycle, buses, groups: Vec::new() }
+    Plan { cycle, buses, ..Plan::default() }
 }
 
 /// The plan of such a machine.
 pub fn plan(shape: Shape) -> Plan {
-    plan_of(shape, buses(shape, &mut Vec::new(), &mut None, &mut None))
+    plan_of(shape, Held::default().buses(shape))
 }
 
 impl Machine {
@@ -716,19 +611,17 @@ impl Machine {
 
     /// A machine, whose inputs are in `log`.
     pub fn new(shape: Shape, log: Option<Log>) -> Machine {
-        let (mut taps, mut line, mut wire) = (Vec::new(), None, None);
-        let buses = buses(shape, &mut taps, &mut line, &mut wire);
-        let plans: Vec<AxisPlan> = buses.iter().flat_map(|bus| bus.axes()).cloned().collect();
+        let mut held = Held::default();
+        let sim = master(shape, &mut held, None, log.as_ref());
+        let plans: Vec<AxisPlan> = sim.plan().axes().into_iter().cloned().collect();
         Machine {
-            sim: master(shape, buses, drives(&taps, line.as_ref(), wire.as_ref()), None, log.as_ref()),
+            sim,
             log,
             shape,
             scales: plans.iter().enumerate().map(|(index, plan)| scale(shape, index, plan)).collect(),
             plans,
-            addresses: taps.iter().map(SimDrive::address).collect(),
-            taps,
-            line,
-            wire,
+            addresses: held.taps.iter().map(SimDrive::address).collect(),
+            held,
             calls: Vec::new(),
         }
     }
@@ -737,14 +630,12 @@ impl Machine {
     pub fn replace_master(&mut self, ms: u64) {
         let now = self.world().now();
         self.calls.clear();
-        for tap in &mut self.taps {
+        for tap in &mut self.held.taps {
             let connected = std::mem::take(&mut tap.lock().connected);
             connected.into_iter().for_each(|from| tap.disconnected(now, from));
         }
-        self.wire.iter().flat_map(|wire| &wire.drives).for_each(|drive| drive.lock().died += 1);
-        let buses = buses(self.shape, &mut self.taps, &mut self.line, &mut self.wire);
-        let drives = drives(&self.taps, self.line.as_ref(), self.wire.as_ref());
-        self.sim = master(self.shape, buses, drives, Some(now + ms * MS), self.log.as_ref());
+        self.held.wire.iter().flat_map(|wire| &wire.drives).for_each(|drive| drive.lock().died += 1);
+        self.sim = master(self.shape, &mut self.held, Some(now + ms * MS), self.log.as_ref());
     }
 
     /// One turn of the loop.
@@ -763,14 +654,14 @@ impl Machine {
     }
 
     fn at_line<R>(&self, f: impl FnOnce(&mut EthercatSim) -> R) -> R {
-        self.line.as_ref().expect("there is a segment").with(f)
+        self.held.line.as_ref().expect("there is a segment").with(f)
     }
 
     /// The true state of a drive, in units of its axis.
     pub fn truth(&self, index: usize) -> Truth {
         let now = self.world().now();
-        let truth = match self.taps.get(index) {
-            None if let Some(wire) = &self.wire => wire.drives[index].lock().drive.truth(now),
+        let truth = match self.held.taps.get(index) {
+            None if let Some(wire) = &self.held.wire => wire.drives[index].lock().drive.truth(now),
             Some(tap) => match &mut tap.lock().drive {
                 Drive::LinMot(drive) => drive.truth(now),
                 Drive::Moons(drive) => drive.truth(now),
@@ -790,7 +681,7 @@ impl Machine {
     /// request that it did not receive, ends that request: the drive takes the next one for its repetition, twice if
     /// that is repeated itself. An acyclic request of a master that died is met by the first one of the next master.
     pub fn misuse(&self, index: usize) -> Option<String> {
-        let shared = self.wire.as_ref()?.drives.get(index)?.lock();
+        let shared = self.held.wire.as_ref()?.drives.get(index)?.lock();
         let misuse = shared.drive.misuse();
         let Misuse { too_early, interrupted, state, changed_retry, acyclic, .. } = misuse;
         let (repeated, met) = (changed_retry.min(2 * shared.forged), acyclic.min(shared.died));
@@ -807,7 +698,7 @@ impl Machine {
         match self.addresses.get(index) {
             Some(address) if plugged => drop(self.world().plug(*address)),
             Some(address) => drop(self.world().unplug(*address)),
-            None if let Some(wire) = &self.wire => wire.drives[index].lock().unplugged = !plugged,
+            None if let Some(wire) = &self.held.wire => wire.drives[index].lock().unplugged = !plugged,
             None => drop(self.world().deafen(LINE, index, !plugged)),
         }
     }
@@ -823,7 +714,7 @@ impl Machine {
     pub fn restart(&self, index: usize) {
         match self.addresses.get(index) {
             Some(address) => drop(self.world().restart(*address)),
-            None if self.wire.is_some() => drop(self.world().restart_on(PORT, index)),
+            None if self.held.wire.is_some() => drop(self.world().restart_on(PORT, index)),
             None => drop(self.world().restart_slave(LINE, index)),
         }
     }
@@ -832,14 +723,14 @@ impl Machine {
     pub fn open_sto(&self, index: usize, ns: u64) {
         match self.addresses.get(index) {
             Some(address) => drop(self.world().open_sto(*address, ns)),
-            None if self.wire.is_some() => drop(self.world().open_sto_on(PORT, index, ns)),
+            None if self.held.wire.is_some() => drop(self.world().open_sto_on(PORT, index, ns)),
             None => drop(self.world().open_sto_of_slave(LINE, index, ns)),
         }
     }
 
     /// A fault of the drive that can be reset.
     pub fn provoke(&self, index: usize) {
-        match self.taps.get(index) {
+        match self.held.taps.get(index) {
             Some(tap) => match &mut tap.lock().drive {
                 Drive::LinMot(drive) => drive.provoke(ErrorCode(0x0B)),
                 // Open motor winding.
@@ -847,7 +738,7 @@ impl Machine {
                 Drive::Unidrive(drive) => drive.provoke(Trip(40)),
             },
             // Its phase current is too large.
-            None if let Some(wire) = &self.wire => wire.drives[index].lock().drive.provoke(0x2310),
+            None if let Some(wire) = &self.held.wire => wire.drives[index].lock().drive.provoke(0x2310),
             None => {
                 let fault = fieldbeat_ethercat::faults::Fault::FOLLOWING;
                 self.at_line(|line| line.drive(index).expect("there is a drive").provoke(fault));
@@ -857,9 +748,9 @@ impl Machine {
 
     /// A fault by which the drive reacts to the silence of its master, where it has one.
     pub fn silence(&self, index: usize) {
-        match self.taps.get(index) {
+        match self.held.taps.get(index) {
             Some(tap) if let Drive::Unidrive(drive) = &mut tap.lock().drive => drive.provoke(Trip(252)),
-            None if self.wire.is_none() => {
+            None if self.held.wire.is_none() => {
                 let fault = fieldbeat_ethercat::faults::Fault::SYNCHRONISATION;
                 self.at_line(|line| line.drive(index).expect("there is a drive").provoke(fault));
             }
@@ -869,16 +760,16 @@ impl Machine {
 
     /// Loses the next datagrams: requests, replies. Frames of a segment are all drives'.
     pub fn lose(&self, index: usize, requests: u32, replies: u32) {
-        match self.taps.get(index) {
+        match self.held.taps.get(index) {
             Some(tap) => tap.lock().lose = [requests, replies],
-            None if let Some(wire) = &self.wire => wire.drives[index].lock().lose = [requests, replies],
+            None if let Some(wire) = &self.held.wire => wire.drives[index].lock().lose = [requests, replies],
             None => self.plug(index, requests + replies == 0),
         }
     }
 
     /// Repeats a request of long ago at the drive, so many microseconds from now.
     pub fn repeat_request(&self, index: usize, motion: bool, back: usize, us: u64) {
-        if let Some(wire) = &self.wire {
+        if let Some(wire) = &self.held.wire {
             // On a serial wire nothing comes late: another master, or requests that arrive broken.
             let at = self.world().now() + us * 1_000;
             match motion {
@@ -890,7 +781,7 @@ impl Machine {
             }
             return;
         }
-        let Some(tap) = self.taps.get(index) else {
+        let Some(tap) = self.held.taps.get(index) else {
             // It passes the slaves once more, and returns.
             if let Some(mut frame) = self.frame(back) {
                 let now = self.world().now();
@@ -916,7 +807,7 @@ impl Machine {
 
     /// Repeats a reply of long ago at the master, so many microseconds from now.
     pub fn repeat_reply(&self, index: usize, back: usize, us: u64) {
-        if let Some(wire) = &self.wire {
+        if let Some(wire) = &self.held.wire {
             // The last answer once more, or answers that arrive broken.
             let mut drive = wire.drives[index].lock();
             match back % 2 {
@@ -928,7 +819,7 @@ impl Machine {
             }
             return;
         }
-        let Some(tap) = self.taps.get(index) else {
+        let Some(tap) = self.held.taps.get(index) else {
             if let Some(frame) = self.frame(back) {
                 self.world().inject_frame(LINE, &frame, self.world().now() + us * 1_000);
             }
@@ -951,7 +842,7 @@ impl Machine {
         if self.shape.kind.of(index) != Kind::LinMot {
             return;
         }
-        let Some(tap) = self.taps.get(index) else { return };
+        let Some(tap) = self.held.taps.get(index) else { return };
         let shared = tap.lock();
         let all = shared.states.values().flatten().chain(&shared.old);
         let shape = SHAPES[usize::from(self.shape.other)] - 1;
@@ -983,7 +874,7 @@ impl Machine {
             Kind::LinMot => self.other_sender(index, which, at),
             Kind::Moons => {
                 let [scanner, drive] = self.packets_of(index);
-                let shared = self.taps[index].lock();
+                let shared = self.held.taps[index].lock();
                 let kept = if which.is_multiple_of(2) { &shared.motions } else { &shared.replies };
                 let mut bytes = kept.get(which / 4).cloned()?;
                 drop(shared);
@@ -1003,7 +894,7 @@ impl Machine {
     /// A request of another master to a LinMot, or a reply of another drive to this master.
     fn other_sender(&self, index: usize, which: usize, at: Time) -> Option<u64> {
         let elsewhere = SocketAddrV4::new(ELSEWHERE, MASTER.port());
-        let shared = self.taps[index].lock();
+        let shared = self.held.taps[index].lock();
         let [reply, motion] = [&shared.replies, &shared.motions].map(|kept| kept.get(which / 4).cloned());
         drop(shared);
         let (velocity, ramp) = (Velocity(10_000), Acceleration(100_000));
@@ -1081,7 +972,7 @@ impl Machine {
     }
 
     fn frame(&self, back: usize) -> Option<Vec<u8>> {
-        self.line.as_ref()?.0.lock().unwrap().1.get(back).cloned()
+        self.held.line.as_ref()?.0.lock().unwrap().1.get(back).cloned()
     }
 
     /// Posts a write, and does not wait for it. What the notation refuses was refused.

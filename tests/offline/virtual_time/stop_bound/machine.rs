@@ -433,17 +433,7 @@ impl Machine {
 
     fn stream(&mut self, axis: usize, from: f64, velocity: f64) {
         let step = velocity * (self.b.period_ns * self.divisor(axis)) as f64 * 1e-9;
-        let stream = Stream {
-            next: from,
-            step,
-            velocity,
-            pushed: 0,
-            starving: false,
-            reported: 0,
-            told_at: 0,
-            header: 0,
-        };
-        self.watches[axis].stream = Some(stream);
+        self.watches[axis].stream = Some(Stream { next: from, step, velocity, ..Stream::default() });
         self.push_rows();
         self.post(axis, Command::Follow);
     }
@@ -480,9 +470,7 @@ impl Machine {
                         response_def: ResponseDef::CYCLIC,
                         ..Request::default()
                     };
-                    let mut bytes = [0; 64];
-                    let size = request.emit(&mut bytes);
-                    world.inject(address(axis), MASTER, &bytes[..size], world.now());
+                    self.b.inject_request(axis, request, world.now());
                 }
                 Restarted => drop(world.restart(address(axis))),
                 Starved => self.watches[axis].stream.as_mut().unwrap().starving = true,

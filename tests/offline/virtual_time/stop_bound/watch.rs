@@ -60,6 +60,7 @@ pub struct Stopped {
 }
 
 /// Rows on their way to one drive.
+#[derive(Default)]
 pub struct Stream {
     pub next: f64,
     pub step: f64,

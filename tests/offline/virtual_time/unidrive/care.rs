@@ -6,7 +6,7 @@ use fieldbeat::axis::State;
 use super::*;
 
 /// A control word with RUN and a speed are left in a drive that does not follow them, and stands.
-fn left_to_run(shared: &mut Shared, now: Time) {
+fn left_to_run(shared: &mut Tapped, now: Time) {
     shared.write(now, Parameter::CONTROL_WORD, ControlWord::FORWARD.0);
     shared.refer(now, 15_000);
     assert!(!shared.status(now + S).active());

@@ -9,10 +9,10 @@ mod others;
 
 use std::net::{Ipv4Addr, SocketAddrV4};
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard};
+use std::sync::{Arc, MutexGuard};
 use std::time::Duration;
 
-use fieldbeat::axis::{Command, Failure, Feedback, Jog, Link, Outcome, Profile, StopCause, Unit, Units};
+use fieldbeat::axis::{Command, Failure, Feedback, Jog, Link, Outcome, Profile, StopCause};
 use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::modbus::{
     Addressing, ControlWord, Functions, ModbusPlan, Parameter, StatusWord, Trip, UnidriveDrive, Via,
@@ -23,12 +23,13 @@ use fieldbeat::sim::{FaultPlan, SimDrive, SimPlan, WorldOptions};
 use fieldbeat::telemetry::Summary;
 use fieldbeat::telemetry::{Counters, Numbers};
 use fieldbeat::time::{MS, S, Time};
-use fieldbeat::{CyclePlan, Master, Plan, Simulation};
+use fieldbeat::{Master, Plan, Simulation};
 use fieldbeat_modbus::counters::OWN;
 use fieldbeat_modbus::counters::Own;
 use fieldbeat_modbus::wire::{Header, RegistersBuffer, Request, Response, function};
 
 use super::support::Paired;
+use crate::between::{Between, Message, Shared};
 
 const STOP: Command = Command::Stop { deceleration: None };
 /// Another master.
@@ -36,8 +37,8 @@ const OTHER: SocketAddrV4 = SocketAddrV4::new(Ipv4Addr::new(10, 8, 8, 8), 8_888)
 
 type Tamper = Box<dyn FnMut(&mut Vec<u8>) + Send>;
 
-/// A drive that the test and the world share.
-struct Shared {
+/// A drive, what it hears, and what is changed of that.
+struct Tapped {
     drive: UnidriveSim,
     /// Every request, the handshake's too.
     received: Vec<Vec<u8>>,
@@ -46,7 +47,7 @@ struct Shared {
     reply: Option<Tamper>,
 }
 
-impl Shared {
+impl Tapped {
     /// What another master is told.
     fn ask(&mut self, now: Time, request: Request<'_>) -> Vec<u8> {
         let mut bytes = vec![0; request.size()];
@@ -85,46 +86,25 @@ impl Shared {
     }
 }
 
-#[derive(Clone)]
-struct Tap(Arc<Mutex<Shared>>);
+/// The same, of the test and of the world.
+type Tap = Shared<Tapped>;
 
-impl std::fmt::Debug for Tap {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str("Tap")
+impl Between for Tapped {
+    fn drive(&mut self) -> &mut dyn SimDrive {
+        &mut self.drive
     }
-}
 
-impl SimDrive for Tap {
-    crate::forward_sim_drive!(lock().drive);
-
-    fn receive(
-        &mut self,
-        now: Time,
-        from: SocketAddrV4,
-        bytes: &[u8],
-        reply: &mut Vec<u8>,
-    ) -> Option<SocketAddrV4> {
-        let mut shared = self.lock();
-        let mut bytes = bytes.to_vec();
-        if let Some(tamper) = &mut shared.request {
+    fn receive(&mut self, message: Message<'_>, reply: &mut Vec<u8>) -> Option<SocketAddrV4> {
+        let mut bytes = message.bytes.to_vec();
+        if let Some(tamper) = &mut self.request {
             tamper(&mut bytes);
         }
-        shared.received.push(bytes.clone());
-        let to = shared.drive.receive(now, from, &bytes, reply);
-        if let Some(tamper) = &mut shared.reply {
+        let to = Message { bytes: &bytes, ..message }.reaches(&mut self.drive, reply);
+        self.received.push(bytes);
+        if let Some(tamper) = &mut self.reply {
             tamper(reply);
         }
         to.filter(|_| !reply.is_empty())
-    }
-
-    fn restart(&mut self, now: Time) {
-        self.lock().drive.restart(now);
-    }
-}
-
-impl Tap {
-    fn lock(&self) -> MutexGuard<'_, Shared> {
-        self.0.lock().unwrap()
     }
 }
 
@@ -140,7 +120,6 @@ fn address(index: usize) -> SocketAddrV4 {
 /// A drive as most tests want it: revolutions of the motor, 8 of them a second.
 fn drive(index: usize, via: Via) -> Unidrive {
     let mut drive = UnidriveDrive::new(format!("u{index}"), *address(index).ip());
-    drive.axis.units = Units { unit: Unit::Revolution, counts_per_unit: 1.0, offset: 0.0, modulo: None };
     drive.axis.profile = Profile { velocity: 8.0, acceleration: 80.0, deceleration: 80.0 };
     drive.axis.stop.deceleration = 80.0;
     drive.axis.jog_deadman = None;
@@ -179,7 +158,7 @@ impl Bench {
         count: usize,
         via: Via,
         change: impl Fn(usize, &mut Unidrive),
-        prepare: impl Fn(&mut Shared, Time),
+        prepare: impl Fn(&mut Tapped, Time),
         mut buses: Vec<Box<dyn BusPlan>>,
     ) -> Bench {
         let options = WorldOptions::default();
@@ -187,9 +166,9 @@ impl Bench {
         drives.iter_mut().enumerate().for_each(|(index, drive)| change(index, drive));
         let tap = |drive: &Unidrive| {
             let drive = UnidriveSim::new(drive.simulate.clone());
-            let mut shared = Shared { drive, received: Vec::new(), request: None, reply: None };
+            let mut shared = Tapped { drive, received: Vec::new(), request: None, reply: None };
             prepare(&mut shared, Time(options.start.0 - 2 * S));
-            Tap(Arc::new(Mutex::new(shared)))
+            Shared::new(shared)
         };
         let taps: Vec<_> = drives.iter().map(tap).collect();
         let plan = ModbusPlan::new(drives.into_iter().map(|drive| drive.plan).collect());
@@ -197,12 +176,12 @@ impl Bench {
         let mut drives = simulated(&taps);
         drives.extend(SimPlan::of(&buses).build().drives);
         buses.insert(0, Box::new(plan.clone()));
-        let whole = Plan { source: None, cycle: CyclePlan::default(), buses, groups: Vec::new() };
+        let whole = Plan { buses, ..Plan::default() };
         let sim = Master::from_plan(whole).simulate_with(drives, options).expect("the machine can be built");
         Bench { sim, taps, plan }
     }
 
-    fn tap(&self, index: usize) -> MutexGuard<'_, Shared> {
+    fn tap(&self, index: usize) -> MutexGuard<'_, Tapped> {
         self.taps[index].lock()
     }
 
@@ -371,7 +350,7 @@ fn a_missing_hardware_enable_is_told_when_the_drive_does_not_come_up() {
 }
 
 /// Runs by its terminals, at 300 rpm, for two seconds.
-fn by_terminals(shared: &mut Shared, now: Time) {
+fn by_terminals(shared: &mut Tapped, now: Time) {
     shared.write(now, Parameter::REFERENCE_SELECTOR, 3);
     shared.refer(now, 3_000);
     shared.write(now, Parameter::new(6, 30), 1);
