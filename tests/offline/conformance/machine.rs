@@ -6,7 +6,6 @@ use std::sync::MutexGuard;
 use fieldbeat::axis::{
     Command, CommandId, EventKind, Failure, Feedback, Jog, Link, Outcome, Profile, StopCause,
 };
-use fieldbeat::bus::BusPlan;
 use fieldbeat::sim::{FaultPlan, SimSegment, World, WorldOptions};
 use fieldbeat::time::{Time, US};
 use fieldbeat::{CyclePlan, Flow, Master, Plan, Simulation};
@@ -29,17 +28,7 @@ pub struct Machine {
 impl Machine {
     /// A machine of so many drives, each changed.
     pub fn new(subject: &'static dyn Subject, count: usize, change: impl Fn(usize, &mut Drive)) -> Machine {
-        Machine::of(subject, count, change, CyclePlan::default(), WorldOptions::default())
-    }
-
-    pub fn of(
-        subject: &'static dyn Subject,
-        count: usize,
-        change: impl Fn(usize, &mut Drive),
-        cycle: CyclePlan,
-        options: WorldOptions,
-    ) -> Machine {
-        Machine::proposing(subject, count, change, cycle, options, None)
+        Machine::proposing(subject, count, change, WorldOptions::default(), None)
     }
 
     /// One that builds requests, too, which do not leave, of this seed.
@@ -47,17 +36,16 @@ impl Machine {
         subject: &'static dyn Subject,
         count: usize,
         change: impl Fn(usize, &mut Drive),
-        cycle: CyclePlan,
         options: WorldOptions,
         proposals: Option<u64>,
     ) -> Machine {
-        assert_eq!(cycle.period_ns, PERIOD);
+        assert_eq!(CyclePlan::default().period_ns, PERIOD);
         let drives = line::drives(subject, count, change);
         let (wire, simulated) = Wire::new(subject, &drives);
         wire.log().proposals = proposals;
         // The grid begins two periods after the first look at the clock.
         let origin = options.start + options.read_ns + 2 * PERIOD;
-        let plan = Plan { source: None, cycle, buses: vec![Box::new(wire.clone())], groups: Vec::new() };
+        let plan = Plan { buses: vec![Box::new(wire.clone())], ..Plan::default() };
         let setup = Master::from_plan(plan);
         let sim = setup.simulate_with(simulated, options).expect("the machine can be built");
         Machine { can: subject.can(), drives, sim, wire, origin, ends: BTreeMap::new(), restarts: 0 }
@@ -266,9 +254,7 @@ impl Machine {
 
     /// The stop bound that `check` states for an axis.
     pub fn stop_bound(&self, index: usize) -> u64 {
-        let buses: Vec<Box<dyn BusPlan>> = vec![Box::new(self.wire.clone())];
-        let plan = Plan { source: None, cycle: CyclePlan::default(), buses, groups: Vec::new() };
-        fieldbeat_core::cycle::bound::stop_bound(&plan, index)
+        fieldbeat_core::cycle::bound::stop_bound(self.sim.plan(), index)
     }
 
     /// Turns until the loop has ended.

@@ -122,7 +122,7 @@ pub trait Subject: Sync {
 }
 
 /// What a protocol can do by nature. What it cannot do, the clauses want refused by name.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 pub struct Can {
     /// It takes positions, and tells them. Without, it takes jogs, and tells its velocity.
     pub positions: bool,
@@ -209,7 +209,7 @@ pub struct Drive {
 }
 
 /// What a drive says of itself.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Said {
     /// The power stage may be on.
     pub powered: bool,

@@ -7,8 +7,7 @@ use fieldbeat::axis::{
     StopThen,
 };
 use fieldbeat::sim::{FaultPlan, WorldOptions};
-use fieldbeat::time::{MS, US};
-use fieldbeat::{CyclePlan, Time};
+use fieldbeat::time::{MS, Time, US};
 
 use crate::conformance::line::PERIOD;
 use crate::conformance::machine::Machine;
@@ -416,7 +415,7 @@ struct Stormy {
 
 fn storm(subject: &'static dyn Subject, seed: u64, proposals: Option<u64>) -> Stormy {
     let options = WorldOptions { seed, wake_ns: 60_000, ..WorldOptions::default() };
-    let mut m = Machine::proposing(subject, 3, |_, _| {}, CyclePlan::default(), options, proposals);
+    let mut m = Machine::proposing(subject, 3, |_, _| {}, options, proposals);
     // A connection that is lost is opened by a handshake, which has to pass as well.
     let rate = if m.can.stream { 0.1 } else { 1.0 };
     for index in 0..3 {

@@ -14,16 +14,10 @@ fn setup() -> Setup {
     Master::from_plan(plan).with_simulation(simulation)
 }
 
-fn demo(speed: f64) -> (Master, fieldbeat::sim::World) {
-    let machine = setup().simulate(WorldOptions::default()).unwrap();
-    let world = machine.world().clone();
-    (machine.into_master(speed).unwrap(), world)
-}
-
 #[test]
 fn a_program_with_blocking_calls_runs_and_its_end_stops_the_drives() {
     // As fast as this computer can.
-    let (master, _) = demo(f64::INFINITY);
+    let master = setup().simulate(WorldOptions::default()).unwrap().into_master(f64::INFINITY).unwrap();
     master.wait_online(Duration::from_secs(60)).unwrap();
     let mut axis = master.axis("a1").unwrap();
     axis.enable().unwrap();
@@ -38,25 +32,6 @@ fn a_program_with_blocking_calls_runs_and_its_end_stops_the_drives() {
     // What the thread of the telemetry has taken in is what the loop has counted.
     assert_eq!(run.measured.histograms.wake.len(), status.executed);
     assert!(!run.granted.missing.is_empty(), "nobody takes it for numbers of this host");
-}
-
-#[test]
-fn a_drive_that_is_lost_ends_the_call_that_waits_for_it() {
-    let (master, world) = demo(10.0);
-    master.wait_online(Duration::from_secs(60)).unwrap();
-    let mut axis = master.axis("a2").unwrap();
-    axis.enable().unwrap();
-    axis.home().unwrap();
-    // For 38 s of virtual time.
-    let slowly = Profile { velocity: 5.0, ..axis.profile() };
-    let id = axis.post(Command::Move(Move { target: Target::Absolute(190.0), profile: slowly })).unwrap();
-    assert!(world.unplug(master.plan().facts()[0].addresses()[1]));
-    let Err(AxisError::Ended { outcome, .. }) = axis.wait(id, "move", Duration::from_secs(60)) else {
-        panic!()
-    };
-    assert_eq!(outcome, Outcome::Aborted(Abort::Stopped(StopCause::LinkLost)));
-    let feedback = axis.feedback();
-    assert_eq!((feedback.link, feedback.stopped), (Link::Lost, Some(StopCause::LinkLost)));
 }
 
 /// The axis that is stopped with its group names the one that began it, and why.
@@ -110,7 +85,9 @@ fn what_ended_a_call_is_in_the_feedback_when_it_returns() {
         axis.enable().unwrap();
         let id = axis.post(Command::Home).unwrap();
         assert!(world.unplug(master.plan().facts()[0].addresses()[index]));
-        axis.wait(id, "home", Duration::from_secs(60)).unwrap_err();
+        let ended = axis.wait(id, "home", Duration::from_secs(60)).unwrap_err();
+        let AxisError::Ended { outcome, .. } = ended else { panic!("{ended}") };
+        assert_eq!(outcome, Outcome::Aborted(Abort::Stopped(StopCause::LinkLost)));
         let feedback = axis.feedback();
         assert_eq!((feedback.link, feedback.stopped), (Link::Lost, Some(StopCause::LinkLost)), "{name}");
     }

@@ -4,6 +4,7 @@ use std::any::Any;
 use std::cell::RefCell;
 use std::time::Duration;
 
+use fieldbeat::Simulation;
 use fieldbeat::axis::{Acyclic, Answer, Call, CallError, CallTicket, Series};
 use fieldbeat_core::axis::acyclic::{Carrier, Condition};
 
@@ -15,25 +16,44 @@ const MOST: u64 = 200_000;
 /// What a call is given that does not care.
 pub const LIMIT: Duration = Duration::from_secs(1);
 
-type Each<'a> = Box<dyn FnMut(&mut Bench, u64) + 'a>;
+/// A machine of a test.
+pub trait Turns {
+    fn sim(&mut self) -> &mut Simulation;
+
+    fn turn(&mut self) {
+        self.sim().step();
+    }
+}
+
+impl Turns for Bench {
+    fn sim(&mut self) -> &mut Simulation {
+        &mut self.sim
+    }
+
+    fn turn(&mut self) {
+        self.step();
+    }
+}
+
+type Each<'a, B> = Box<dyn FnMut(&mut B, u64) + 'a>;
 
 /// The drive of one axis, while its bench turns.
-pub struct Turning<'a> {
-    bench: RefCell<&'a mut Bench>,
+pub struct Turning<'a, B> {
+    bench: RefCell<&'a mut B>,
     index: usize,
     /// Before each turn, with its number from the first call on.
-    each: RefCell<Each<'a>>,
+    each: RefCell<Each<'a, B>>,
     turns: RefCell<u64>,
 }
 
-impl<'a> Turning<'a> {
-    pub fn new(bench: &'a mut Bench, index: usize) -> Turning<'a> {
+impl<'a, B: Turns> Turning<'a, B> {
+    pub fn new(bench: &'a mut B, index: usize) -> Turning<'a, B> {
         Turning::with(bench, index, |_, _| ())
     }
 
     /// With something that happens on the way.
-    pub fn with(bench: &'a mut Bench, index: usize, each: impl FnMut(&mut Bench, u64) + 'a) -> Turning<'a> {
-        let (each, turns) = (RefCell::new(Box::new(each) as Each<'a>), RefCell::new(0));
+    pub fn with(bench: &'a mut B, index: usize, each: impl FnMut(&mut B, u64) + 'a) -> Turning<'a, B> {
+        let (each, turns) = (RefCell::new(Box::new(each) as Each<'a, B>), RefCell::new(0));
         Turning { bench: RefCell::new(bench), index, each, turns }
     }
 
@@ -46,16 +66,16 @@ impl<'a> Turning<'a> {
         let mut bench = self.bench.borrow_mut();
         let turn = *self.turns.borrow();
         (self.each.borrow_mut())(&mut bench, turn);
-        bench.step();
+        bench.turn();
         *self.turns.borrow_mut() += 1;
     }
 
     fn acyclic(&self) -> Acyclic {
-        self.bench.borrow_mut().sim.axis(self.index).acyclic().clone()
+        self.bench.borrow_mut().sim().axis(self.index).acyclic().clone()
     }
 }
 
-impl Carrier for Turning<'_> {
+impl<B: Turns> Carrier for Turning<'_, B> {
     fn run(&self, calls: &[Call], limit: Duration) -> Series {
         let begun = self.turns();
         self.acyclic().run_while(calls, limit, || {
@@ -66,16 +86,10 @@ impl Carrier for Turning<'_> {
         })
     }
 
-    fn condition(&self) -> Result<Condition, CallError> {
-        self.acyclic().condition()
-    }
-
-    fn claim(&self) -> Result<Box<dyn Any + Send>, CallError> {
-        self.acyclic().claim()
-    }
-
-    fn capacity(&self) -> usize {
-        self.acyclic().capacity()
+    crate::forward! { this => this.acyclic();
+        fn condition(&self) -> Result<Condition, CallError>;
+        fn claim(&self) -> Result<Box<dyn Any + Send>, CallError>;
+        fn capacity(&self) -> usize;
     }
 
     /// A turn is a millisecond.

@@ -8,7 +8,7 @@ use fieldbeat::axis::{Abort, Axis, Command, EventKind, Link, Outcome, StopCause}
 use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::linudp::LinUdpPlan;
 use fieldbeat::sim::profibus::{LenzeSim, ProfibusSegment};
-use fieldbeat::sim::{SimPlan, World, WorldOptions};
+use fieldbeat::sim::{SimPlan, Simulated, World, WorldOptions};
 use fieldbeat::telemetry::Numbers;
 use fieldbeat::time::Time;
 use fieldbeat::{CyclePlan, Flow, Plan};
@@ -66,7 +66,7 @@ impl Clock for FusedClock {
 struct Machine {
     engine: Engine<FusedClock>,
     axes: Vec<Axis>,
-    buses: [Fused; 2],
+    buses: Vec<Fused>,
     clock: FusedClock,
     control: Control,
 }
@@ -80,21 +80,25 @@ impl Machine {
             let plan = LinUdpPlan { name, bind, send: SendMode::Batch, drives };
             Fused::new(plan)
         };
-        let buses = [bus(0), bus(1)];
+        let buses = vec![bus(0), bus(1)];
         let drives =
             SimPlan { buses: buses.iter().map(|bus| Box::new(all_simulated(&bus.plan)) as _).collect() };
         let plans = buses.iter().map(|bus| Box::new(bus.clone()) as Box<dyn BusPlan>);
-        let plan =
-            Plan { source: None, cycle: CyclePlan::default(), buses: plans.collect(), groups: Vec::new() };
+        let plan = Plan { buses: plans.collect(), ..Plan::default() };
+        Machine { buses, ..Machine::of(&plan, drives.build()).0 }
+    }
+
+    /// A machine whose clock has a fuse, and its world.
+    fn of(plan: &Plan, drives: Simulated) -> (Machine, World) {
         plan.check().unwrap();
-        let world = World::new(drives.build(), WorldOptions::default()).unwrap();
+        let world = World::new(drives, WorldOptions::default()).unwrap();
         let (left, panics) = (Arc::new(AtomicI64::new(0)), Arc::new(AtomicI64::new(0)));
         let clock = FusedClock { clock: world.clock(), left, panics };
         let control = Control::default();
         let Assembly { mut engine, axes, .. } =
-            assemble(&plan, clock.clone(), &world, None, control.clone()).unwrap();
+            assemble(plan, clock.clone(), &world, None, control.clone()).unwrap();
         engine.begin();
-        Machine { engine, axes, buses, clock, control }
+        (Machine { engine, axes, buses: Vec::new(), clock, control }, world)
     }
 
     fn until(&mut self, what: &str, done: impl Fn(&[Axis]) -> bool) {
@@ -276,15 +280,9 @@ fn a_panic_leaves_the_drives_of_a_half_duplex_wire_their_turns() {
         let mut segment = ProfibusSegment::of(&bus);
         segment.drives.iter_mut().for_each(|drive| drive.motor.ramps_s = (0.01, 0.01, 0.01));
         let cycle = CyclePlan { receive_deadline: 0.8, ..CyclePlan::default() };
-        let plan = Plan { source: None, cycle, buses: vec![Box::new(bus)], groups: Vec::new() };
-        plan.check().unwrap();
-        let world = World::new(SimPlan::from(segment).build(), WorldOptions::default()).unwrap();
-        let (left, panics) = (Arc::new(AtomicI64::new(0)), Arc::new(AtomicI64::new(0)));
-        let clock = FusedClock { clock: world.clock(), left, panics };
-        let control = Control::default();
-        let Assembly { mut engine, mut axes, .. } =
-            assemble(&plan, clock.clone(), &world, None, control.clone()).unwrap();
-        engine.begin();
+        let plan = Plan { cycle, buses: vec![Box::new(bus)], ..Plan::default() };
+        let (machine, world) = Machine::of(&plan, SimPlan::from(segment).build());
+        let Machine { mut engine, mut axes, clock, control, .. } = machine;
         let mut until = |axes: &[Axis], what: &str, done: &dyn Fn(&Axis) -> bool| {
             assert!((0..40_000).any(|_| (engine.step(), axes.iter().all(done)).1), "never: {what}");
         };

@@ -148,22 +148,13 @@ impl Subject for EtherCat {
             home: true,
             jog: true,
             follow: self.positions,
-            torque: false,
             picks: !self.positions,
             identified: true,
             round_trip: true,
-            answers_after: 0,
             whole: true,
-            awaits: false,
-            stream: false,
-            own_clock: false,
-            sessions: false,
-            steep_stops: false,
-            half_duplex: false,
-            bytes: false,
-            comes_up_off: false,
             shared: true,
             rearmed: self.slaves.rearmed,
+            ..Can::default()
         }
     }
 

@@ -48,22 +48,11 @@ impl Subject for LinUdp {
             home: true,
             jog: true,
             follow: true,
-            torque: false,
             picks: true,
             identified: self.reply_tag != ReplyTag::Off,
             round_trip: true,
-            answers_after: 0,
             whole: true,
-            awaits: false,
-            stream: false,
-            own_clock: false,
-            sessions: false,
-            steep_stops: false,
-            half_duplex: false,
-            bytes: false,
-            comes_up_off: false,
-            shared: false,
-            rearmed: false,
+            ..Can::default()
         }
     }
 
@@ -117,9 +106,7 @@ impl Subject for LinUdp {
             homed: Some(status.homed()),
             position: Some(response.actual?.into()),
             demand: Some(response.demand?.into()),
-            setpoint: None,
-            at: None,
-            velocity: None,
+            ..Said::default()
         })
     }
 

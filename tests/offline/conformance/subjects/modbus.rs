@@ -80,26 +80,14 @@ impl Subject for Modbus {
 
     fn can(&self) -> Can {
         Can {
-            positions: false,
-            home: false,
             jog: true,
-            follow: false,
-            torque: false,
-            picks: false,
             identified: true,
             round_trip: true,
             answers_after: if self.direct { 2 } else { 0 },
             whole: !self.direct,
             awaits: true,
             stream: true,
-            own_clock: false,
-            sessions: false,
-            steep_stops: false,
-            half_duplex: false,
-            bytes: false,
-            comes_up_off: false,
-            shared: false,
-            rearmed: false,
+            ..Can::default()
         }
     }
 
@@ -161,11 +149,8 @@ impl Subject for Modbus {
                         powered: status.active(),
                         moving: status.active() && !status.zero_speed(),
                         homed: Some(false),
-                        position: None,
-                        demand: None,
-                        setpoint: None,
-                        at: None,
                         velocity: said.and_then(|said| said.velocity),
+                        ..Said::default()
                     });
                 }
                 Parameter::SPEED => {

@@ -86,26 +86,16 @@ impl Subject for Profibus {
 
     fn can(&self) -> Can {
         Can {
-            positions: false,
-            home: false,
             jog: true,
-            follow: false,
-            torque: false,
-            picks: false,
             identified: true,
             round_trip: true,
             answers_after: 1,
             whole: true,
             awaits: true,
-            stream: false,
-            own_clock: false,
-            sessions: false,
-            steep_stops: false,
             half_duplex: true,
             bytes: true,
             comes_up_off: true,
-            shared: false,
-            rearmed: false,
+            ..Can::default()
         }
     }
 
@@ -156,12 +146,9 @@ impl Subject for Profibus {
             // From 1/256 of its full speed on.
             moving: powered && (turned || actual.unsigned_abs() >= 0x40),
             homed: before.and_then(|before| before.homed).or(Some(false)),
-            position: None,
-            demand: None,
-            setpoint: None,
-            at: None,
             // 0x4000 is 6000 rpm.
             velocity: Some(f64::from(actual) / f64::from(0x4000) * 100.0),
+            ..Said::default()
         })
     }
 

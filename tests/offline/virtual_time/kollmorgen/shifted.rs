@@ -1,6 +1,7 @@
 //! Drives that change their places while the master runs: some are taken out, others put in, cables cut and repaired,
 //! at any time. Whatever comes of it, an axis moves its own drive, or none.
 
+use fastrand::Rng;
 use fieldbeat::CyclePlan;
 use fieldbeat::axis::{Command, Link, StopCause};
 use fieldbeat::bus::ethercat::{EthercatPlan, Expected, Family, Watchdog};
@@ -13,16 +14,6 @@ use super::{LINE, Machine, drive, jog, plan};
 
 const DRIVES: usize = 4;
 const AXES: usize = 3;
-
-/// Numbers without a pattern, the same in each run.
-struct Any(u64);
-
-impl Any {
-    fn below(&mut self, end: u64) -> u64 {
-        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        (self.0 >> 33) % end
-    }
-}
 
 /// Drives, and a master that knows of the first ones that are there.
 fn machine(absent: usize, watched: bool) -> Machine {
@@ -62,24 +53,24 @@ fn turning(machine: &mut Machine, axis: usize, drives: usize) -> Vec<usize> {
 #[test]
 fn an_axis_moves_its_own_drive_or_none_whoever_is_taken_out_or_put_in() {
     for seed in 0..5 {
-        let mut any = Any(seed);
-        let absent = any.below(DRIVES as u64) as usize;
-        let mut machine = machine(absent, any.below(2) == 0);
+        let mut random = Rng::with_seed(seed);
+        let absent = random.usize(..DRIVES);
+        let mut machine = machine(absent, random.bool());
         machine.online();
         machine.each(Command::Enable);
         let own: Vec<_> = (0..DRIVES).filter(|place| *place != absent).collect();
         for round in 0..3 {
             // The cable is out for so long, while one is taken out or put in; or it is so without that.
-            if any.below(4) > 0 {
-                let cut = any.below(DRIVES as u64) as usize;
+            if random.u8(..4) > 0 {
+                let cut = random.usize(..DRIVES);
                 machine.look(|line| line.cut(Some(cut)));
-                machine.run([5, 50, 300][any.below(3) as usize]);
+                machine.run([5, 50, 300][random.usize(..3)]);
             }
-            let (place, deaf) = (any.below(DRIVES as u64) as usize, any.below(2) == 0);
+            let (place, deaf) = (random.usize(..DRIVES), random.bool());
             let place = if round == 0 { absent } else { place };
             machine.look(|line| line.deafen(place, deaf && round > 0));
             machine.look(|line| line.cut(None));
-            machine.run(any.below(4_000));
+            machine.run(random.u64(..4_000));
             let mut moved = Vec::new();
             for axis in 0..AXES {
                 let turning = turning(&mut machine, axis, DRIVES);

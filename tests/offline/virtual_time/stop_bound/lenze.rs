@@ -3,17 +3,16 @@
 
 use std::collections::BTreeSet;
 
-use fieldbeat::axis::{Command, Link, StopHow};
+use fieldbeat::axis::{Command, StopHow};
 use fieldbeat::bus::profibus::{ParameterPath, ProfibusPlan};
+use fieldbeat::sim::WorldOptions;
 use fieldbeat::sim::profibus::ProfibusSegment;
-use fieldbeat::sim::{Simulated, WorldOptions};
-use fieldbeat::time::MS;
-use fieldbeat::{CyclePlan, Master, Plan, Simulation, Time};
+use fieldbeat::time::{MS, Time};
 use fieldbeat_core::cycle::bound::stop_bound;
 
 use crate::virtual_time::lenze::tap::TapWire;
 use crate::virtual_time::lenze::turns::jog;
-use crate::virtual_time::lenze::wire;
+use crate::virtual_time::lenze::{Lenze, cycle, wire};
 
 /// In a telegram of Data_Exchange: the function code, and the data; control word and set point are the first of their
 /// process data.
@@ -53,9 +52,8 @@ struct Shape {
 
 /// Drives which turn.
 struct Wire {
-    sim: Simulation,
+    m: Lenze,
     taps: TapWire,
-    plan: Plan,
     begin: Time,
     bus: ProfibusPlan,
     shape: Shape,
@@ -76,34 +74,19 @@ impl Wire {
                 drive.extended_diagnosis = 0;
             }
         }
-        let cycle = CyclePlan { receive_deadline: 0.8, ..CyclePlan::default() };
-        let plan = || Plan {
-            source: None,
-            cycle: cycle.clone(),
-            buses: vec![Box::new(bus.clone())],
-            groups: Vec::new(),
-        };
         let mut segment = ProfibusSegment::of(&bus);
         segment.drives.iter_mut().for_each(|drive| drive.motor.ramps_s = (0.01, 0.01, 0.01));
         let taps = TapWire::new(segment);
-        let simulated = Simulated { wires: vec![taps.wire()], ..Simulated::default() };
         let options = WorldOptions::default();
         // The first slot of the grid.
         let begin = options.start + options.read_ns + 2 * MS;
-        let sim = Master::from_plan(plan()).simulate_with(simulated, options);
-        let sim = sim.unwrap_or_else(|error| panic!("{shape:?}: {error}"));
-        let mut wire = Wire { sim, taps, plan: plan(), begin, bus, shape };
-        wire.until(|sim, index| sim.feedback(index).link == Link::Online);
-        wire
+        let mut m = Lenze::on(bus.clone(), cycle(), taps.wire());
+        m.online();
+        Wire { m, taps, begin, bus, shape }
     }
 
     fn count(&self) -> usize {
         self.taps.drives.len()
-    }
-
-    fn until(&mut self, done: impl Fn(&Simulation, usize) -> bool) {
-        let count = self.count();
-        assert!(self.sim.run_until(20_000, |sim| (0..count).all(|index| done(sim, index))));
     }
 
     /// All turn.
@@ -112,18 +95,19 @@ impl Wire {
             let mut tap = tap.lock();
             (tap.unplugged, tap.flaky, tap.slow) = (false, false, None);
         }
-        self.until(|sim, index| sim.feedback(index).link == Link::Online);
-        self.sim.run(200);
+        self.m.online();
+        self.m.sim.run(200);
         for command in [Command::Reset, Command::Enable] {
             for index in 0..self.count() {
-                self.sim.execute(index, command, 20_000).unwrap();
+                self.m.sim.execute(index, command, 20_000).unwrap();
             }
         }
-        for index in 0..self.count() {
-            self.sim.axis(index).post(jog(8.0)).unwrap();
-        }
-        self.until(|sim, index| (sim.feedback(index).status.velocity - 8.0).abs() < 0.05);
-        self.sim.run(50);
+        let count = self.count();
+        (0..count).for_each(|index| self.m.post(index, jog(8.0)));
+        self.m.until("their velocity", 20_000, |sim| {
+            (0..count).all(|index| (sim.feedback(index).status.velocity - 8.0).abs() < 0.05)
+        });
+        self.m.sim.run(50);
     }
 
     /// A drive is lost after so many cycles: the cycles from its last good exchange until each drive that stops with it
@@ -131,7 +115,7 @@ impl Wire {
     /// new in any case.
     fn loses(&mut self, after: u64) -> Vec<(u64, u64)> {
         self.turn();
-        self.sim.run(after);
+        self.m.sim.run(after);
         let Shape { lost, loss, together, .. } = self.shape;
         for (index, tap) in self.taps.drives.iter().enumerate() {
             let mut tap = tap.lock();
@@ -143,8 +127,8 @@ impl Wire {
         }
         let mut last = 0;
         for turn in 0..self.bound() + 40 {
-            self.sim.run(1);
-            let feedback = self.sim.feedback(lost);
+            self.m.sim.run(1);
+            let feedback = self.m.feedback(lost);
             if feedback.age == 0 || turn == 0 {
                 last = feedback.cycle - u64::from(feedback.age);
             }
@@ -185,7 +169,7 @@ impl Wire {
     }
 
     fn bound(&self) -> u64 {
-        stop_bound(&self.plan, self.shape.lost)
+        stop_bound(self.m.sim.plan(), self.shape.lost)
     }
 }
 

@@ -1,46 +1,21 @@
 //! Several parameters in one request.
 
-use std::any::Any;
-use std::cell::RefCell;
-
-use fieldbeat::axis::{Call, CallError, ParameterError, Series};
+use fieldbeat::axis::{Call, CallError, ParameterError};
+use fieldbeat_core::axis::acyclic::Access;
 use fieldbeat_core::axis::acyclic::long::{self, LOAD, PART, READ_SEVERAL, STORE};
-use fieldbeat_core::axis::acyclic::{Access, Carrier, Condition};
 
 use super::*;
+use crate::virtual_time::carrier::{Turning, Turns};
 
-/// The drive, while its bench turns.
-struct Turning<'a>(RefCell<&'a mut Bench>);
-
-impl Carrier for Turning<'_> {
-    fn run(&self, calls: &[Call], limit: Duration) -> Series {
-        let acyclic = self.0.borrow_mut().sim.axis(0).acyclic().clone();
-        acyclic.run_while(calls, limit, || {
-            self.0.borrow_mut().sim.step();
-            true
-        })
-    }
-
-    fn condition(&self) -> Result<Condition, CallError> {
-        self.0.borrow_mut().sim.axis(0).acyclic().condition()
-    }
-
-    fn claim(&self) -> Result<Box<dyn Any + Send>, CallError> {
-        self.0.borrow_mut().sim.axis(0).acyclic().claim()
-    }
-
-    fn capacity(&self) -> usize {
-        self.0.borrow_mut().sim.axis(0).acyclic().capacity()
-    }
-
-    fn pause(&self, time: Duration) {
-        self.0.borrow_mut().run(u64::try_from(time.as_millis()).unwrap_or(u64::MAX));
+impl Turns for Bench {
+    fn sim(&mut self) -> &mut Simulation {
+        &mut self.sim
     }
 }
 
 fn with<R>(b: &mut Bench, does: impl FnOnce(Access<'_>) -> R) -> R {
     let notation = std::sync::Arc::clone(b.sim.axis(0).acyclic().notation());
-    let carrier = Turning(RefCell::new(b));
+    let carrier = Turning::new(b, 0);
     does(Access { drive: "u0", notation: &*notation, carrier: &carrier })
 }
 

@@ -62,16 +62,10 @@ impl Subject for Blocks {
         long::write(block.address, &(value as u32).to_be_bytes().repeat(3))
     }
 
-    fn sim(&mut self) -> &mut Simulation {
-        self.0.sim()
-    }
-
-    fn is_on(&mut self) -> bool {
-        self.0.is_on()
-    }
-
-    fn received(&mut self) -> usize {
-        self.0.received()
+    crate::forward! { this => this.0;
+        fn sim(&mut self) -> &mut Simulation;
+        fn is_on(&mut self) -> bool;
+        fn received(&mut self) -> usize;
     }
 }
 
