@@ -15,21 +15,19 @@ use fieldbeat::axis::{
 use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::ethercat::{EthercatPlan, Family, Object, Start, Type};
 use fieldbeat::bus::ethernet_ip::EthernetIpPlan;
-use fieldbeat::bus::linudp::LinUdpPlan;
 use fieldbeat::config::{Configuration, load};
 use fieldbeat::sim::ethercat::EthercatSegment;
 use fieldbeat::sim::ethernet_ip::{MoonsSettings, MoonsSim};
 use fieldbeat::sim::linudp::LinMotSim;
 use fieldbeat::sim::{FaultPlan, SimDrive, SimPlan, Simulated, WorldOptions};
-use fieldbeat::{CyclePlan, Master, Plan, Simulation};
+use fieldbeat::{Master, Plan, Simulation};
 use fieldbeat_core::bus::facts::of_drives;
-use fieldbeat_core::net::SendMode;
 use fieldbeat_linudp::wire::Response;
 
 use crate::virtual_time::campaign::{self, Judged};
 use crate::virtual_time::kollmorgen::{self, LINE, Machine};
 use crate::virtual_time::moons;
-use crate::virtual_time::support::{self, Bench, MASTER, Rig, with};
+use crate::virtual_time::support::{self, Bench, Rig, with};
 
 const AXES: usize = 3;
 
@@ -100,8 +98,7 @@ impl Wire {
                     Box::new(LinMotSim::new(settings)) as Box<dyn SimDrive>
                 };
                 let simulated: Vec<_> = drives.iter().zip(0..).map(simulated).collect();
-                let plan = LinUdpPlan { name: "linudp".into(), bind: MASTER, send: SendMode::Batch, drives };
-                (Box::new(plan), Simulated::from(simulated))
+                (Box::new(support::bus(drives)), Simulated::from(simulated))
             }
             Wire::Kollmorgen => {
                 let drive = |place| {
@@ -128,7 +125,7 @@ impl Wire {
                 (Box::new(EthernetIpPlan::new(moons::BIND, drives)), Simulated::from(simulated))
             }
         };
-        let plan = Plan { source: None, cycle: CyclePlan::default(), buses: vec![bus], groups: Vec::new() };
+        let plan = Plan { buses: vec![bus], ..Plan::default() };
         let options = WorldOptions::default();
         Master::from_plan(plan).simulate_with(drives, options).unwrap_or_else(|error| panic!("{error}"))
     }

@@ -57,7 +57,7 @@ fn segment(number: usize, drift_ppm: &[f64], ahead_ns: Option<u64>) -> EthercatS
 
 fn plan(period_ns: u64, reference: Option<&str>, buses: Vec<Box<dyn BusPlan>>) -> Plan {
     let cycle = CyclePlan { period_ns, reference: reference.map(str::to_owned), ..CyclePlan::default() };
-    Plan { source: None, cycle, buses, groups: Vec::new() }
+    Plan { cycle, buses, ..Plan::default() }
 }
 
 impl Led {

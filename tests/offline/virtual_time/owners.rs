@@ -8,7 +8,7 @@ use fieldbeat::bus::linudp::motion::{Acceleration, MotionCommand, Position, Velo
 use fieldbeat::bus::linudp::{LinUdpDrive, LinUdpPlan, Native, NativeOutput};
 use fieldbeat::sim::WorldOptions;
 use fieldbeat::time::MS;
-use fieldbeat::{CyclePlan, Flow, Master, Plan};
+use fieldbeat::{Flow, Master, Plan};
 
 use super::replay::{Log, verdict};
 use super::support::*;
@@ -258,8 +258,7 @@ fn a_run_in_which_an_axis_is_dropped_is_repeated() {
     let plan = || {
         let drive = LinUdpDrive::new("x", [10, 0, 0, 10].into());
         let bus = LinUdpPlan::new([10, 0, 0, 1].into(), vec![drive]);
-        let cycle = CyclePlan::default();
-        Plan { source: None, cycle, buses: vec![Box::new(bus)], groups: Vec::new() }
+        Plan { buses: vec![Box::new(bus)], ..Plan::default() }
     };
     let log = Log::default();
     let mut machine = log.of(Master::from_plan(plan())).simulate(WorldOptions::default()).unwrap();

@@ -5,11 +5,10 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use fieldbeat::axis::{Abort, Command, Link, StopCause, StopHow, StopThen, Target};
-use fieldbeat::bus::linudp::{ControlWord, ErrorCode, LinUdpPlan, MainState, StatusWord};
+use fieldbeat::bus::linudp::{ControlWord, ErrorCode, MainState, StatusWord};
 use fieldbeat::sim::WorldOptions;
 use fieldbeat::telemetry::{Condition, StopRequest};
-use fieldbeat::{CyclePlan, Flow, Master, Plan};
-use fieldbeat_core::net::SendMode;
+use fieldbeat::{Flow, Master, Plan};
 
 use super::fuse::Fused;
 use crate::virtual_time::support::*;
@@ -219,17 +218,10 @@ fn the_status_counts_the_axes_in_operation() {
 #[test]
 fn a_bus_that_does_not_end_is_left_after_ten_seconds() {
     for (waits, cut_off) in [(None, true), (Some(9_000), false)] {
-        let plan =
-            LinUdpPlan { name: "linudp".into(), bind: MASTER, send: SendMode::Batch, drives: vec![drive(0)] };
-        let bus = Fused::new(plan);
+        let bus = Fused::new(bus(vec![drive(0)]));
         let never_ends = Arc::clone(&bus.never_ends);
         *never_ends.lock().unwrap() = true;
-        let plan = Plan {
-            source: None,
-            cycle: CyclePlan::default(),
-            buses: vec![Box::new(bus)],
-            groups: Vec::new(),
-        };
+        let plan = Plan { buses: vec![Box::new(bus)], ..Plan::default() };
         let mut sim = Master::from_plan(plan).simulate(WorldOptions::default()).unwrap();
         for _ in 0..100 {
             sim.step();

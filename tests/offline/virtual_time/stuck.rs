@@ -4,15 +4,13 @@
 use std::sync::{Arc, OnceLock};
 
 use fieldbeat::axis::{Abort, CommandId, Outcome, StopCause};
-use fieldbeat::bus::linudp::LinUdpPlan;
 use fieldbeat::sim::WorldOptions;
-use fieldbeat::{CyclePlan, Flow, Master, Plan};
-use fieldbeat_core::net::SendMode;
+use fieldbeat::{Flow, Master, Plan};
 use fieldbeat_core::rt::Wires;
 use fieldbeat_replay::machine::TaskOf;
 
 use super::replay::{Log, replay};
-use super::support::{Bench, MASTER, Rig, drive, slowly_to};
+use super::support::{Bench, Rig, bus, drive, slowly_to};
 
 /// The step in which the loop finds them taken, after so many sends of its own. A command was posted before that.
 #[track_caller]
@@ -78,10 +76,8 @@ fn an_end_by_itself_is_none_that_can_be_taken() {
 #[test]
 fn a_recorded_loop_from_which_the_wires_were_taken_ends_in_the_same_cycle_when_it_is_repeated() {
     let plan = || {
-        let drives = vec![drive(0), drive(1)];
-        let bus = LinUdpPlan { name: "linudp".into(), bind: MASTER, send: SendMode::Batch, drives };
-        let buses = vec![Box::new(bus) as _];
-        Plan { source: None, cycle: CyclePlan::default(), buses, groups: Vec::new() }
+        let bus = bus(vec![drive(0), drive(1)]);
+        Plan { buses: vec![Box::new(bus)], ..Plan::default() }
     };
     let log = Log::default();
     let mut sim = log.of(Master::from_plan(plan())).simulate(WorldOptions::default()).unwrap();

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use fieldbeat::axis::{Command, EventKind, Move, Profile, Target};
-use fieldbeat::bus::BusPlan;
+
 use fieldbeat::bus::linudp::{LinUdpPlan, MonitorPlan};
 use fieldbeat::sim::linudp::{LinMotSettings, LinMots};
 use fieldbeat::sim::{FaultPlan, SimPlan, Simulated, World, WorldOptions};
@@ -36,7 +36,7 @@ fn plan() -> Plan {
         drive
     });
     let bus = LinUdpPlan::new([127, 0, 0, 1].into(), drives.collect());
-    Plan { source: None, cycle: cycle(), buses: vec![Box::new(bus) as Box<dyn BusPlan>], groups: Vec::new() }
+    Plan { cycle: cycle(), buses: vec![Box::new(bus)], ..Plan::default() }
 }
 
 /// Its drives.
@@ -125,12 +125,7 @@ fn records_that_nobody_takes_cost_detail_and_no_truth() {
 #[test]
 fn each_drive_has_a_record_in_each_cycle_and_its_cycle_comes_last() {
     let bus = LinUdpPlan::new([127, 0, 0, 1].into(), (0..3).map(drive).collect());
-    let plan = Plan {
-        source: None,
-        cycle: cycle(),
-        buses: vec![Box::new(bus) as Box<dyn BusPlan>],
-        groups: Vec::new(),
-    };
+    let plan = Plan { cycle: cycle(), buses: vec![Box::new(bus)], ..Plan::default() };
     let world = World::new(drives(), WorldOptions::default()).unwrap();
     let Assembly { mut engine, mut records, .. } =
         assemble(&plan, world.clock(), &world, None, Control::default()).unwrap();

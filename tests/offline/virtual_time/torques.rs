@@ -5,10 +5,10 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use fieldbeat::axis::{Command, Failure, State, StopCause};
-use fieldbeat::bus::BusPlan;
+
 use fieldbeat::bus::ethercat::{EthercatPlan, KollmorgenDrive};
 use fieldbeat::sim::WorldOptions;
-use fieldbeat::{CyclePlan, Master, Plan};
+use fieldbeat::{Master, Plan};
 
 use super::kollmorgen::drives::{press, torque};
 use super::kollmorgen::{LINE, Machine, STOP, jog, plan};
@@ -116,8 +116,7 @@ fn under_torque_an_axis_stops_inside_its_position_limits() {
 fn the_task_may_set_torques_and_is_watched_like_anybody() {
     let sets = Arc::new(AtomicBool::new(true));
     let task_sets = sets.clone();
-    let buses: Vec<Box<dyn BusPlan>> = vec![Box::new(EthercatPlan::new(LINE, vec![torque(0)]))];
-    let plan = Plan { source: None, cycle: CyclePlan::default(), buses, groups: Vec::new() };
+    let plan = Plan { buses: vec![Box::new(EthercatPlan::new(LINE, vec![torque(0)]))], ..Plan::default() };
     let setup = Master::from_plan(plan).with_task(move |cycle, axes| {
         if task_sets.load(Ordering::Relaxed) {
             assert_eq!(axes.set_torque(0, 4.0), Ok(()));

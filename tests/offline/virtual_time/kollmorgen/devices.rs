@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 use fieldbeat::axis::{CallError, Emergency, FoundRunning, Link};
-use fieldbeat::bus::BusPlan;
+
 use fieldbeat::bus::ethercat::{
     Area, Device, EthercatPlan, Expected, Family, KollmorgenDrive, Object, SlavePlan, Start, Terminals, Type,
 };
@@ -233,8 +233,7 @@ fn a_device_is_taken_once_by_its_name_and_type() {
         ("d0", format!("device d0: {taken}")),
         ("d o", "device \"d o\": its name must be 1 to 32 letters, digits, - _ or .".to_owned()),
     ] {
-        let buses: Vec<Box<dyn BusPlan>> = vec![Box::new(plan("di", other))];
-        let plan = Plan { source: None, cycle: CyclePlan::default(), buses, groups: Vec::new() };
+        let plan = Plan { buses: vec![Box::new(plan("di", other))], ..Plan::default() };
         let reported = plan.check().unwrap_err().to_string();
         assert!(reported.lines().any(|line| line == refused), "{reported}");
     }

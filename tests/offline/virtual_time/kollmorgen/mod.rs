@@ -119,7 +119,7 @@ impl Machine {
 
     pub fn on(bus: Box<dyn BusPlan>, drives: Simulated, cycle: CyclePlan, options: WorldOptions) -> Machine {
         let count = bus.axes().len();
-        let plan = Plan { source: None, cycle, buses: vec![bus], groups: Vec::new() };
+        let plan = Plan { cycle, buses: vec![bus], ..Plan::default() };
         let sim =
             Master::from_plan(plan).simulate_with(drives, options).unwrap_or_else(|error| panic!("{error}"));
         Machine { sim, count }

@@ -106,7 +106,7 @@ impl Lenze {
         let count = bus.drives.len();
         let notes = Noted::default();
         let bus = NotedPlan { plan: bus, notes: Arc::clone(&notes) };
-        let plan = Plan { source: None, cycle, buses: vec![Box::new(bus)], groups: Vec::new() };
+        let plan = Plan { cycle, buses: vec![Box::new(bus)], ..Plan::default() };
         let simulated = Simulated { wires: vec![wire], ..Simulated::default() };
         let sim = Master::from_plan(plan).simulate_with(simulated, WorldOptions::default());
         Lenze { sim: sim.unwrap_or_else(|error| panic!("{error}")), notes, count }

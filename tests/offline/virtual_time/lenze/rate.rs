@@ -1,8 +1,8 @@
 //! As many exchanges as the formula has: whole turns that begin inside the windows, each as long as rate, bytes,
 //! MaxTsdr and idle time make it.
 
+use fieldbeat::bus::Grid;
 use fieldbeat::bus::profibus::ProfibusPlan;
-use fieldbeat::bus::{BusPlan, Grid};
 use fieldbeat::telemetry::{Counters, Summary};
 use fieldbeat::time::{MS, S, US};
 use fieldbeat::{CyclePlan, Granted, Plan};
@@ -90,8 +90,7 @@ fn the_summary_states_the_bus_load() {
     m.sim.run(3_000);
     let measured = m.sim.measured().clone();
     let numbers = m.sim.finish();
-    let buses: Vec<Box<dyn BusPlan>> = vec![Box::new(bus)];
-    let plan = Plan { source: None, cycle: cycle(), buses, groups: Vec::new() };
+    let plan = Plan { cycle: cycle(), buses: vec![Box::new(bus)], ..Plan::default() };
     let granted = Granted { policy: "", priority: 0, core: None, memory_locked: false, missing: Vec::new() };
     let summary = Summary::of(&plan, &numbers, &measured, &granted, None);
     // Eight exchanges of 105 us in each cycle, behind a start-up with less.
