@@ -3,8 +3,7 @@
 //! | file | what |
 //! |---|---|
 //! | `controller` | one cycle of it, what it publishes, and the ends of its commands |
-//! | `judge` | what was sent and received: the end of the exchange, the status, the link |
-//! | `weigh` | which reports count: a loss, or a place, that one report alone does not prove |
+//! | `judge` | what was sent and received: the end of the exchange, which reports count, the status, the link |
 //! | `watch` | what the drive must not do, and stopping |
 //! | `duty` | who owns the drive, whether it is stopped, and which command runs |
 //! | `commands` | the application's commands in their order |
@@ -15,7 +14,6 @@ mod duty;
 mod judge;
 mod setpoints;
 mod watch;
-mod weigh;
 
 pub use self::commands::{take_calls, take_commands};
 pub use self::setpoints::{Counts, take_rows};
@@ -27,16 +25,13 @@ use rtrb::Producer;
 
 use self::duty::{Claim, Duty, Latch};
 use self::setpoints::Follow;
-use self::weigh::Doubt;
 use super::at_end::Requested;
-use super::bounds::Bounds;
 use super::health::LinkHealth;
 use super::journal::{Journal, Note};
 use super::machine::Machine;
 use super::numbers::{DriveNumbers, Extent, Peaks};
-use super::reach::Reach;
 use super::record::{CommandRecord, CommandStep, DriveRecord, EventRecord, Measured, MonitorRecord, Reply};
-use super::rest::Rest;
+use super::watch::{Phase, Watch};
 use crate::axis::cell::Writer;
 use crate::axis::newest::NewestOut;
 use crate::axis::{
@@ -84,9 +79,11 @@ pub struct Queues {
 #[derive(Debug)]
 #[repr(C, align(64))]
 pub struct DriveController {
-    /// The slot from which on the setpoint of the running command may be too old.
+    /// The slot from which on the setpoint of the running command may be too old. It saves 51 instructions a drive and
+    /// cycle at a velocity, and 8 at rest.
     ages_at: u64,
-    /// Something is to be looked at with the next commands: its bell has rung, or a command waits.
+    /// Something is to be looked at with the next commands: its bell has rung, or a command waits. It saves 55
+    /// instructions a drive and cycle.
     called: bool,
     /// Its exchange waits for its turn on a half-duplex wire.
     queued: bool,
@@ -109,9 +106,7 @@ pub struct DriveController {
     /// The largest times.
     peaks: Peaks,
     feedback: Feedback,
-    doubt: Doubt,
-    bounds: Bounds,
-    rest: Rest,
+    watch: Watch,
     /// From one row to the next, s.
     row_seconds: f64,
     machine: Machine,
@@ -199,8 +194,7 @@ impl DriveController {
         probes: Probes,
     ) -> DriveController {
         let interval_ns = period_ns.saturating_mul(plan.divisor.into());
-        let doubt = Doubt::new(Reach::new(&plan, interval_ns), can.power_reports);
-        let bounds = Bounds::new(&plan, can.behind_ns);
+        let watch = Watch::new(&plan, interval_ns, can.behind_ns, can.power_reports);
         let machine = Machine::new(&plan, can, period_ns);
         let row_seconds = period_ns as f64 * f64::from(plan.divisor) * 1e-9;
         let (divisor, phase) = (plan.divisor, plan.phase);
@@ -215,14 +209,12 @@ impl DriveController {
             shows: false,
             measured: Measured::default(),
             phase_ns: None,
-            duty: Duty::new(),
+            duty: Duty::default(),
             health,
             grid: Time(0),
             peaks: Peaks::default(),
             feedback: Feedback::default(),
-            doubt,
-            bounds,
-            rest: Rest::default(),
+            watch,
             row_seconds,
             machine,
             queues,
@@ -290,7 +282,7 @@ impl DriveController {
 
     /// Evaluates this cycle, what was sent included, and watches the axis. Returns the result of the exchange.
     pub fn evaluate(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) -> Reply {
-        if std::mem::take(&mut slot.due) {
+        if std::mem::take(&mut slot.due) || self.queued {
             self.sent(cycle, slot);
         }
         let reply = self.judge(cycle, now, slot);
@@ -401,10 +393,10 @@ impl DriveController {
         }
         if self.duty.active().is_some_and(|active| active.id == queued.id) {
             self.duty.set_active(None);
-            self.doubt.ended(now, &queued.command, outcome);
+            self.settle(now, &queued.command, outcome);
             if outcome != Outcome::Done {
                 // The drive may still be braking.
-                self.rest.fail();
+                self.watch.expect(Phase::Failed);
                 self.leave(&queued);
             }
         }

@@ -9,12 +9,10 @@
 //! | `stop` | the stop sequence |
 //! | `at_end` | how a drive was left at the end of a run |
 //! | `groups` | group synchronisation |
-//! | `bounds` | bounds of the drive's own demand, whatever commands it |
-//! | `rest` | motion that nobody commands |
+//! | `watch` | what an axis must not do by its reports, and which of them it can have reached |
 //! | `machine` | what a command does to a drive, step by step; `power`: the states of CiA 402 |
 //! | `planner` | the setpoint at an instant |
 //! | `health` | the link to one drive: leaky bucket, schedule, probes |
-//! | `reach` | which reports an axis can have reached |
 //! | `record`, `numbers` | what the loop reports and counts of one drive |
 //! | `journal` | its commands and events, until they are reported |
 //!
@@ -22,7 +20,6 @@
 //! time.
 
 pub mod at_end;
-mod bounds;
 pub mod controller;
 pub mod groups;
 mod health;
@@ -31,7 +28,6 @@ pub mod machine;
 pub mod numbers;
 pub mod planner;
 mod power;
-mod reach;
 pub mod record;
-mod rest;
 mod stop;
+mod watch;

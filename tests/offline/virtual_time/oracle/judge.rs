@@ -59,7 +59,7 @@ const GOING_ON: usize = 5;
 const IN_A_ROW: u32 = 12;
 
 /// A place is out of reach behind 2 ms, and some exchanges of which no report counted, at twice the largest speed or at
-/// 1 m/s (`drive/reach.rs`).
+/// 1 m/s (`drive/watch.rs`).
 const REACH_S: f64 = 0.006;
 const REACH_SPEED: f64 = 1_000.0;
 /// Positions change their origin around a homing.

