@@ -6,8 +6,7 @@
 //! | `stages` | evaluate, commands, prepare |
 //! | `report` | what a cycle publishes |
 //! | `native` | native process data for a recording |
-//! | `panics` | what follows from a panic on the loop's thread |
-//! | `stuck` | what follows when the wires were taken from the loop |
+//! | `panics` | what follows from a panic on the loop's thread, and when the wires were taken from it |
 //!
 //! The engine is generic over its clock, and its buses bring their carriers, so that the same code runs on a pinned
 //! SCHED_FIFO thread and in virtual time.
@@ -16,7 +15,6 @@ mod native;
 mod panics;
 mod report;
 mod stages;
-mod stuck;
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU8, Ordering, fence};
@@ -253,7 +251,6 @@ impl<C: Clock> Engine<C> {
         if let Some(reference) = &reference {
             buses[reference.bus()].bus.lead();
         }
-        let panics = Panics::new(buses.len(), controllers.len());
         let send_order = send_order(buses.iter().map(|open| open.is_one_frame));
         Engine {
             longest_end_ns: stops.saturating_mul(4).saturating_add(END_MARGIN_NS),
@@ -296,7 +293,7 @@ impl<C: Clock> Engine<C> {
             ending: None,
             buses_ending: None,
             buses_down: false,
-            panics,
+            panics: Panics::default(),
             clock,
             plan,
         }
@@ -344,7 +341,8 @@ impl<C: Clock> Engine<C> {
     /// One slot of the grid: waits for it and executes it, or passes over slots that came too late. After a panic it
     /// only stops.
     pub fn step(&mut self) -> Flow {
-        self.channels.log.cycle(self.grid.index());
+        self.panics.slot = self.grid.index();
+        self.channels.log.cycle(self.panics.slot);
         self.channels.gate.wires().turn();
         let flow = if self.panics.any() { self.stop_slot() } else { self.guarded(Engine::turn) };
         let is_taken = match flow {

@@ -1,5 +1,5 @@
 //! After a panic on the loop's thread: the stop sequence of every axis and the orderly end, by a cycle that does
-//! nothing else.
+//! nothing else. And the end of a loop whose wires were taken.
 //!
 //! The usual cycle is given up with its first panic, whatever its stage. From then on each call of a bus and each step
 //! of an axis is guarded by itself. What panics twice is left out: a bus, whose drives then end by their own watchdogs;
@@ -7,12 +7,13 @@
 //! and prints on this thread: it is the end of the run, and the deadline of a cycle no longer matters.
 
 use std::any::Any;
+use std::collections::BTreeMap;
 use std::fmt;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
-use super::{Engine, Flow, Grid, HURRY, RUN, STOP};
+use super::{Engine, Flow, Grid, RUN, STOP};
 use crate::axis::{Link, StopCause};
-use crate::bus::{Cycle, Exchange};
+use crate::bus::{Cycle, Exchange, Slot};
 use crate::cycle::record::{CycleRecord, Record, Reply, SkippedRecord, Stage, short};
 use crate::cycle::window::OpenBus;
 use crate::drive::controller::{DriveController, take_commands};
@@ -62,8 +63,8 @@ impl fmt::Display for LoopPanic {
 }
 
 /// What panicked.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Part {
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum Part {
     /// The usual cycle, outside of its buses.
     Loop,
     Bus(usize),
@@ -76,69 +77,46 @@ enum Part {
 /// The panics so far.
 #[derive(Debug, Default)]
 pub(super) struct Panics {
-    /// The stage of the usual cycle; `None`: between two cycles.
+    /// The slot, and the stage of the usual cycle; `None`: between two cycles.
+    pub slot: u64,
     pub stage: Option<Stage>,
+    /// Each part is guarded by itself.
+    each: bool,
     first: Option<(u64, Option<Stage>, Part)>,
-    count: u32,
-    buses: Vec<u8>,
-    axes: Vec<u8>,
-    clock: u8,
-    outlets: u8,
+    counts: BTreeMap<Part, u8>,
     cut_short: bool,
 }
 
 impl Panics {
-    pub fn new(buses: usize, axes: usize) -> Panics {
-        Panics { buses: vec![0; buses], axes: vec![0; axes], ..Panics::default() }
-    }
-
     /// Whether there was one.
     pub fn any(&self) -> bool {
-        self.count > 0
+        !self.counts.is_empty()
     }
 
-    fn note(&mut self, cycle: u64, stage: Option<Stage>, part: Part, payload: Box<dyn Any + Send>) {
+    fn note(&mut self, part: Part, payload: Box<dyn Any + Send>) {
         // To drop it may panic again.
         std::mem::forget(payload);
-        self.first.get_or_insert((cycle, stage, part));
-        self.count += 1;
-        if let Some(count) = self.of(part) {
-            *count += 1;
-        }
+        self.first.get_or_insert((self.slot, self.stage, part));
+        self.each = true;
+        *self.counts.entry(part).or_default() += 1;
     }
 
-    fn of(&mut self, part: Part) -> Option<&mut u8> {
-        match part {
-            Part::Loop => None,
-            Part::Bus(bus) => self.buses.get_mut(bus),
-            Part::Axis(axis) => self.axes.get_mut(axis),
-            Part::Clock => Some(&mut self.clock),
-            Part::Outlets => Some(&mut self.outlets),
-        }
-    }
-
-    fn is_left_out(&mut self, part: Part) -> bool {
-        self.of(part).is_some_and(|count| *count >= MOST)
+    fn is_left_out(&self, part: Part) -> bool {
+        self.counts.get(&part).is_some_and(|count| *count >= MOST)
     }
 
     /// Runs the work of a part. `None`: it panicked, or it is left out.
-    fn guard<R>(
-        &mut self,
-        cycle: u64,
-        stage: Option<Stage>,
-        part: Part,
-        work: impl FnOnce() -> R,
-    ) -> Option<R> {
+    fn guard<R>(&mut self, part: Part, work: impl FnOnce() -> R) -> Option<R> {
         if self.is_left_out(part) {
             return None;
         }
-        match catch_unwind(AssertUnwindSafe(work)) {
-            Ok(done) => Some(done),
-            Err(payload) => {
-                self.note(cycle, stage, part, payload);
-                None
-            }
-        }
+        catch_unwind(AssertUnwindSafe(work)).map_err(|payload| self.note(part, payload)).ok()
+    }
+
+    /// The same of work that the usual cycle has, too, which gives up as a whole.
+    #[inline]
+    pub fn run<R>(&mut self, part: Part, work: impl FnOnce() -> R) -> Option<R> {
+        if self.each { self.guard(part, work) } else { Some(work()) }
     }
 }
 
@@ -152,12 +130,12 @@ impl<C: Clock> Engine<C> {
         };
         let bus = self.buses.iter().position(|open| open.is_at_work);
         let stage = self.panics.stage;
-        self.panics.note(slot, stage, bus.map_or(Part::Loop, Part::Bus), payload);
+        self.panics.note(bus.map_or(Part::Loop, Part::Bus), payload);
         if self.channels.requested() == RUN {
             self.channels.control.stop();
         }
         let cycle = self.cycle_at(self.grid.index(), self.grid.at());
-        let now = self.now_or(&cycle, cycle.grid);
+        let now = self.now_or(cycle.grid);
         self.ending.get_or_insert((now, STOP));
         if self.grid.at() == Time(0) {
             // It was not begun yet.
@@ -173,35 +151,42 @@ impl<C: Clock> Engine<C> {
             self.grid.advance(1);
         }
         let next = self.cycle_at(self.grid.index(), self.grid.at());
-        self.stop_each(&next, now, stage, StopCause::Panic);
+        self.stop_each(&next, now, StopCause::Panic);
         self.prepare_stop(&next);
         let record = CycleRecord { index: cycle.index, grid: cycle.grid, ..CycleRecord::default() };
-        self.publish_stop(&next, Some(record));
+        self.publish_stop(Some(record));
         Flow::Continue
     }
 
     /// Stops every axis, each guarded by itself.
-    fn stop_each(&mut self, cycle: &Cycle, now: Time, stage: Option<Stage>, cause: StopCause) {
+    fn stop_each(&mut self, cycle: &Cycle, now: Time, cause: StopCause) {
         for (axis, controller) in self.controllers.iter_mut().enumerate() {
-            self.panics.guard(cycle.index, stage, Part::Axis(axis), || {
+            self.panics.guard(Part::Axis(axis), || {
                 controller.stop(cycle, now, cause);
                 controller.take_along();
             });
         }
     }
 
-    /// Latches every axis with `cause` and publishes that; nothing is sent any more.
-    pub(super) fn latch(&mut self, cause: StopCause) {
+    /// The end of a loop that has found the wires taken, since a cycle of it did not end: it sends nothing more, receives
+    /// nothing, latches every axis and ends.
+    #[cold]
+    pub(super) fn give_way(&mut self) -> Flow {
+        // First, so that whoever has taken them knows that nothing follows.
+        self.channels.gate.wires().give_way();
+        (self.panics.stage, self.panics.each) = (None, true);
         let cycle = self.cycle_at(self.grid.index(), self.grid.at());
-        self.stop_each(&cycle, cycle.grid, None, cause);
-        self.publish_stop(&cycle, None);
+        self.stop_each(&cycle, cycle.grid, StopCause::LoopStuck);
+        self.publish_stop(None);
+        self.controllers.iter_mut().for_each(DriveController::note_stuck);
+        Flow::End
     }
 
     /// One slot of the grid after a panic.
     pub(super) fn stop_slot(&mut self) -> Flow {
         let mut cycle = self.cycle_at(self.grid.index(), self.grid.at());
-        self.sleep(&cycle, cycle.grid);
-        let woke = self.now_or(&cycle, cycle.grid);
+        self.sleep(cycle.grid);
+        let woke = self.now_or(cycle.grid);
         let late = self.grid.passed(woke, self.deadline_ns / 2);
         if late > 0 {
             self.status.overruns += 1;
@@ -216,11 +201,7 @@ impl<C: Clock> Engine<C> {
             return self.flow(false);
         }
         for bus in 0..self.buses.len() {
-            self.bus(&cycle, Stage::Send, bus, |open, slots| {
-                if !open.gate.is_closed() {
-                    open.bus.send(&cycle, slots);
-                }
-            });
+            self.bus(bus, |open, slots| open.exchange(slots, |bus, slots| bus.send(&cycle, slots)));
             if self.panics.is_left_out(Part::Bus(bus)) {
                 let open = &self.buses[bus];
                 let slots = self.slots[open.first..open.end].iter_mut();
@@ -231,37 +212,37 @@ impl<C: Clock> Engine<C> {
         self.status.executed += 1;
         self.take_turns(&cycle);
         // All that comes by the deadline is in the sockets then.
-        self.sleep(&cycle, cycle.deadline);
+        self.sleep(cycle.deadline);
         for bus in 0..self.buses.len() {
-            self.bus(&cycle, Stage::Receive, bus, |open, slots| {
-                for _ in 0..MOST_LOOKS {
-                    if open.gate.is_closed() {
-                        break;
-                    }
-                    open.bus.receive(&cycle, slots);
-                    if !slots.iter().any(|slot| slot.exchange.is_waited_for(&cycle)) {
-                        break;
-                    }
-                }
+            self.bus(bus, |open, slots| {
+                let mut look = || {
+                    open.exchange(slots, |bus, slots| {
+                        bus.receive(&cycle, slots);
+                        slots.iter().any(|slot| slot.exchange.is_waited_for(&cycle))
+                    })
+                };
+                (0..MOST_LOOKS).any(|_| look() != Some(true))
             });
         }
-        let now = self.now_or(&cycle, cycle.deadline);
+        let now = self.now_or(cycle.deadline);
         let missed = self.judge_all(&cycle, now);
         if let Some(reference) = &mut self.reference {
             let leader = reference.bus();
             let (bus, grid) = (&mut self.buses[leader].bus, &mut self.grid);
-            self.panics.guard(cycle.index, Some(Stage::Evaluate), Part::Bus(leader), || {
+            self.panics.guard(Part::Bus(leader), || {
                 grid.steer(reference.take(cycle.index, bus.phase_error()).step_ns.into());
             });
         }
-        let ended = self.end_stop(&cycle, now);
+        let (controllers, bells) = (&mut self.controllers, &mut self.channels.bells);
+        self.panics.guard(Part::Outlets, || take_commands(controllers, bells));
+        let ended = self.end(&cycle, now);
         let next = self.cycle_at(cycle.index + 1, self.grid.next_at());
         self.prepare_stop(&next);
         let wake_ns = short(woke.since(cycle.grid));
         self.grid.advance(1);
         let record =
             CycleRecord { index: cycle.index, grid: cycle.grid, wake_ns, missed, ..CycleRecord::default() };
-        self.publish_stop(&cycle, Some(record));
+        self.publish_stop(Some(record));
         self.flow(ended)
     }
 
@@ -271,32 +252,29 @@ impl<C: Clock> Engine<C> {
         let mut poll_set = PollSet::with_room(polled.len());
         for _ in 0..MOST_WAITS {
             let looks: Vec<_> = (polled.iter())
-                .filter_map(|bus| {
-                    self.bus(cycle, Stage::Receive, *bus, |open, _| (open.bus.poll_at(), open.bus.fd()))
-                })
+                .filter_map(|bus| self.bus(*bus, |open, _| (open.bus.poll_at(), open.bus.fd())))
                 .collect();
             let at = looks.iter().filter_map(|(at, _)| *at).min();
             let Some(at) = at.filter(|at| *at < cycle.deadline) else { return };
             poll_set.fill(looks.iter().map(|(_, fd)| *fd));
             let clock = &mut self.clock;
-            self.panics.guard(cycle.index, Some(Stage::Receive), Part::Clock, || {
+            self.panics.guard(Part::Clock, || {
                 if clock.now() < at {
                     clock.wait(&mut poll_set, at);
                 }
             });
-            let now = self.now_or(cycle, cycle.deadline);
+            let now = self.now_or(cycle.deadline);
             if now >= cycle.deadline {
                 return;
             }
             for bus in &polled {
-                self.bus(cycle, Stage::Receive, *bus, |open, slots| {
-                    if open.gate.is_closed() {
-                        return;
-                    }
-                    open.bus.receive(cycle, slots);
-                    if open.bus.poll_at().is_some_and(|at| at <= now) {
-                        open.bus.poll(cycle, now, slots);
-                    }
+                self.bus(*bus, |open, slots| {
+                    open.exchange(slots, |bus, slots| {
+                        bus.receive(cycle, slots);
+                        if bus.poll_at().is_some_and(|at| at <= now) {
+                            bus.poll(cycle, now, slots);
+                        }
+                    })
                 });
             }
         }
@@ -308,99 +286,52 @@ impl<C: Clock> Engine<C> {
         if ended || self.panics.cut_short { Flow::End } else { Flow::Continue }
     }
 
-    fn sleep(&mut self, cycle: &Cycle, until: Time) {
-        let clock = &mut self.clock;
-        self.panics.guard(cycle.index, None, Part::Clock, || clock.sleep_until(until));
+    fn sleep(&mut self, until: Time) {
+        self.panics.guard(Part::Clock, || self.clock.sleep_until(until));
     }
 
-    fn now_or(&mut self, cycle: &Cycle, otherwise: Time) -> Time {
-        let clock = &mut self.clock;
-        self.panics.guard(cycle.index, None, Part::Clock, || clock.now()).unwrap_or(otherwise)
+    fn now_or(&mut self, otherwise: Time) -> Time {
+        self.panics.guard(Part::Clock, || self.clock.now()).unwrap_or(otherwise)
     }
 
-    fn bus<R>(
-        &mut self,
-        cycle: &Cycle,
-        stage: Stage,
-        bus: usize,
-        work: impl FnOnce(&mut OpenBus, &mut [crate::bus::Slot]) -> R,
-    ) -> Option<R> {
-        let open = &mut self.buses[bus];
-        let slots = &mut self.slots[open.first..open.end];
-        self.panics.guard(cycle.index, Some(stage), Part::Bus(bus), || work(open, slots))
+    fn bus<R>(&mut self, bus: usize, work: impl FnOnce(&mut OpenBus, &mut [Slot]) -> R) -> Option<R> {
+        self.panics.guard(Part::Bus(bus), || work(&mut self.buses[bus], &mut self.slots))
     }
 
     /// Evaluates all exchanges; returns how many drives that were online have not answered.
     fn judge_all(&mut self, cycle: &Cycle, now: Time) -> u16 {
-        let mut missed = 0;
+        let (mut missed, status) = (0, &mut self.status);
+        (status.operational, status.online) = (0, 0);
         for (axis, (controller, slot)) in self.controllers.iter_mut().zip(&mut self.slots).enumerate() {
-            self.panics.guard(cycle.index, Some(Stage::Evaluate), Part::Axis(axis), || {
+            self.panics.guard(Part::Axis(axis), || {
                 let online = controller.feedback().link == Link::Online;
                 let reply = controller.evaluate(cycle, now, slot);
                 missed += u16::from(online && reply == Reply::Missed);
+                status.operational += u32::from(controller.feedback().is_operational());
+                status.online += u32::from(controller.feedback().link == Link::Online);
             });
         }
         missed
     }
 
-    /// The orderly end; true once it is complete.
-    fn end_stop(&mut self, cycle: &Cycle, now: Time) -> bool {
-        let requested = self.channels.requested();
-        let (since, before) = *self.ending.get_or_insert((now, STOP));
-        let hurry = requested == HURRY && before == STOP;
-        self.ending = Some((since, requested));
-        let (controllers, bells) = (&mut self.controllers, &mut self.channels.bells);
-        self.panics.guard(cycle.index, None, Part::Outlets, || take_commands(controllers, bells));
-        let mut down = true;
-        for (axis, controller) in self.controllers.iter_mut().enumerate() {
-            let work = || controller.shut_down(cycle, now, hurry);
-            down &= self.panics.guard(cycle.index, None, Part::Axis(axis), work).unwrap_or(true);
-        }
-        let passed_ns = now.since(since);
-        if !down && passed_ns <= self.longest_end_ns {
-            return false;
-        }
-        if self.buses_ending.is_none() {
-            self.buses_ending = Some(now);
-            self.controllers.iter_mut().for_each(DriveController::note_end);
-        }
-        let mut buses_down = true;
-        for bus in 0..self.buses.len() {
-            let shut_down = self.bus(cycle, Stage::Commands, bus, |open, slots| {
-                open.gate.is_closed() || open.bus.shut_down(cycle, slots)
-            });
-            buses_down &= shut_down.unwrap_or(true);
-        }
-        buses_down || passed_ns > self.longest_end_ns.saturating_mul(2)
-    }
-
     /// Builds the requests of `next`: the stop, or whatever comes after it.
     fn prepare_stop(&mut self, next: &Cycle) {
         for (axis, (controller, slot)) in self.controllers.iter_mut().zip(&mut self.slots).enumerate() {
-            let due = self.panics.guard(next.index, None, Part::Axis(axis), || controller.is_due(next.index));
+            let due = self.panics.guard(Part::Axis(axis), || controller.is_due(next.index));
             slot.due = due.unwrap_or(false);
-            self.panics.guard(next.index, None, Part::Axis(axis), || controller.propose(next, slot));
+            self.panics.guard(Part::Axis(axis), || controller.propose(next, slot));
         }
-        for bus in 0..self.buses.len() {
-            self.bus(next, Stage::Prepare, bus, |open, slots| open.bus.prepare(next, slots));
-        }
+        self.build(next);
     }
 
-    fn publish_stop(&mut self, cycle: &Cycle, record: Option<CycleRecord>) {
-        let (channels, status) = (&mut self.channels, &mut self.status);
-        (status.operational, status.online) = (0, 0);
-        let axes = self.axes.iter_mut().zip(self.controllers.iter_mut().zip(&self.slots));
-        for (axis, (outlet, (controller, slot))) in axes.enumerate() {
-            self.panics.guard(cycle.index, Some(Stage::Publish), Part::Axis(axis), || {
-                channels.record(Record::Drive(controller.publish(axis as u16)), &mut status.lost_records);
-                channels.notes(axis as u16, controller, &mut status.lost_records);
-                outlet.numbers.write(&controller.numbers(slot));
-                status.operational += u32::from(controller.feedback().is_operational());
-                status.online += u32::from(controller.feedback().link == Link::Online);
-            });
-        }
+    fn publish_stop(&mut self, record: Option<CycleRecord>) {
+        self.publish_each();
+        self.publish_notes();
         let planned = self.grid.planned();
-        self.panics.guard(cycle.index, Some(Stage::Publish), Part::Outlets, || {
+        let (channels, status) = (&mut self.channels, &mut self.status);
+        let axes = self.axes.iter_mut().zip(self.controllers.iter().zip(&self.slots));
+        self.panics.guard(Part::Outlets, || {
+            axes.for_each(|(outlet, (controller, slot))| outlet.numbers.write(&controller.numbers(slot)));
             if let Some(record) = record {
                 channels.record(Record::Cycle(record), &mut status.lost_records);
             }
@@ -413,21 +344,19 @@ impl<C: Clock> Engine<C> {
     /// The panics of the run in words.
     pub(super) fn loop_panic(&mut self) -> Option<LoopPanic> {
         let (cycle, stage, part) = self.panics.first?;
-        let bus = |bus: usize| format!("bus {}", self.buses[bus].info.name);
-        let axis = |axis: usize| format!("axis {}", self.axes[axis].info.name);
+        let name = |part: Part| match part {
+            Part::Bus(index) => Some(format!("bus {}", self.buses[index].info.name)),
+            Part::Axis(index) => Some(format!("axis {}", self.axes[index].info.name)),
+            Part::Loop | Part::Clock | Part::Outlets => None,
+        };
         let during =
             stage.map_or("between two cycles".to_owned(), |stage| format!("in stage {}", stage.name()));
-        let place = match part {
-            Part::Bus(index) => format!("{during}, {}", bus(index)),
-            Part::Axis(index) => format!("{during}, {}", axis(index)),
-            Part::Loop | Part::Clock | Part::Outlets => during,
-        };
-        let of = |counts: &[u8]| -> Vec<usize> {
-            (0..counts.len()).filter(|index| counts[*index] >= MOST).collect()
-        };
-        let buses = of(&self.panics.buses).into_iter().map(bus);
-        let left_out = buses.chain(of(&self.panics.axes).into_iter().map(axis)).collect();
-        Some(LoopPanic { cycle, place, count: self.panics.count, left_out, cut_short: self.panics.cut_short })
+        let place = name(part).map_or(during.clone(), |name| format!("{during}, {name}"));
+        let counts = &self.panics.counts;
+        let count = counts.values().copied().map(u32::from).sum();
+        let left_out = counts.keys().filter(|part| self.panics.is_left_out(**part));
+        let left_out = left_out.filter_map(|part| name(*part)).collect();
+        Some(LoopPanic { cycle, place, count, left_out, cut_short: self.panics.cut_short })
     }
 }
 
@@ -437,18 +366,19 @@ mod tests {
 
     #[test]
     fn a_part_that_panics_twice_is_left_out_and_no_other() {
-        let mut panics = Panics::new(2, 2);
+        let mut panics = Panics { slot: 7, stage: Some(Stage::Send), ..Panics::default() };
         let fails = || std::panic::resume_unwind(Box::new("on purpose"));
         for part in [Part::Axis(1), Part::Bus(0), Part::Clock, Part::Outlets] {
             for left_out in [false, false, true] {
                 assert_eq!(panics.is_left_out(part), left_out);
-                assert_eq!(panics.guard::<()>(7, Some(Stage::Send), part, fails), None);
+                assert_eq!(panics.guard::<()>(part, fails), None);
             }
-            assert_eq!(panics.guard(8, None, part, || 1), None, "also what would not panic");
+            assert_eq!(panics.guard(part, || 1), None, "also what would not panic");
         }
-        assert_eq!((panics.count, panics.first), (8, Some((7, Some(Stage::Send), Part::Axis(1)))));
+        assert_eq!(panics.counts.values().sum::<u8>(), 8);
+        assert_eq!(panics.first, Some((7, Some(Stage::Send), Part::Axis(1))));
         for part in [Part::Axis(0), Part::Bus(1)] {
-            assert_eq!(panics.guard(8, None, part, || 1), Some(1));
+            assert_eq!(panics.guard(part, || 1), Some(1));
         }
     }
 }

@@ -1,23 +1,15 @@
 //! What a cycle publishes: feedback, records, and the numbers of the loop.
 
+use super::panics::Part;
 use super::{Channels, Engine};
 use crate::cycle::record::{CycleRecord, Look, Record};
 use crate::cycle::window::OpenBus;
-use crate::drive::controller::DriveController;
 use crate::rt::Clock;
 
 impl Channels {
     /// Sends a record to the telemetry, or counts it as lost.
     pub(super) fn record(&mut self, record: Record, lost: &mut u64) {
         *lost += u64::from(self.records.push(record).is_err());
-    }
-
-    /// Sends the commands and events of an axis to the telemetry.
-    pub(super) fn notes(&mut self, axis: u16, controller: &mut DriveController, lost: &mut u64) {
-        while let Some(note) = controller.take_note(axis) {
-            self.record(note.into(), lost);
-        }
-        *lost += controller.take_lost_notes();
     }
 }
 
@@ -75,25 +67,33 @@ impl<C: Clock> Engine<C> {
     /// Publishes one drive after the other, with the monitored variables that it has shown. Returns how many events and
     /// samples were lost so far, and whether an axis has notes.
     #[inline(never)]
-    fn publish_each(&mut self) -> (u64, bool) {
+    pub(super) fn publish_each(&mut self) -> (u64, bool) {
         let (mut lost, mut noted) = (0, false);
+        let (channels, lost_records) = (&mut self.channels, &mut self.status.lost_records);
         for (axis, controller) in self.controllers.iter_mut().enumerate() {
-            let lost_records = &mut self.status.lost_records;
-            noted |= controller.has_notes();
-            self.channels.record(Record::Drive(controller.publish(axis as u16)), lost_records);
-            if let Some(record) = controller.take_shown(axis as u16) {
-                self.channels.record(Record::Monitor(record), lost_records);
-            }
-            lost += controller.lost();
+            self.panics.run(Part::Axis(axis), || {
+                noted |= controller.has_notes();
+                channels.record(Record::Drive(controller.publish(axis as u16)), lost_records);
+                if let Some(record) = controller.take_shown(axis as u16) {
+                    channels.record(Record::Monitor(record), lost_records);
+                }
+                lost += controller.lost();
+            });
         }
         (lost, noted)
     }
 
     /// Publishes the commands that the axes have taken, and their events.
     #[inline(never)]
-    fn publish_notes(&mut self) {
+    pub(super) fn publish_notes(&mut self) {
+        let (channels, lost) = (&mut self.channels, &mut self.status.lost_records);
         for (axis, controller) in self.controllers.iter_mut().enumerate() {
-            self.channels.notes(axis as u16, controller, &mut self.status.lost_records);
+            self.panics.run(Part::Axis(axis), || {
+                while let Some(note) = controller.take_note(axis as u16) {
+                    channels.record(note.into(), lost);
+                }
+                *lost += controller.take_lost_notes();
+            });
         }
     }
 

@@ -2,6 +2,7 @@
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
+use super::panics::Part;
 use super::{BUSES_END_NS, Engine, HURRY, Left, RUN, STOP};
 use crate::axis::{Link, StopCause};
 use crate::bus::Cycle;
@@ -131,15 +132,16 @@ impl<C: Clock> Engine<C> {
     /// The orderly end, once requested. True when it is complete.
     pub(super) fn end(&mut self, cycle: &Cycle, now: Time) -> bool {
         let requested = self.channels.requested();
-        if requested == RUN {
+        if requested == RUN && self.ending.is_none() {
             return false;
         }
         let (since, before) = *self.ending.get_or_insert((now, STOP));
         let hurry = requested == HURRY && before == STOP;
         self.ending = Some((since, requested));
         let mut down = true;
-        for controller in &mut self.controllers {
-            down &= controller.shut_down(cycle, now, hurry);
+        for (axis, controller) in self.controllers.iter_mut().enumerate() {
+            let shut_down = || controller.shut_down(cycle, now, hurry);
+            down &= self.panics.run(Part::Axis(axis), shut_down).unwrap_or(true);
         }
         if down || now.since(since) > self.longest_end_ns {
             if self.buses_ending.is_none() {
@@ -148,9 +150,9 @@ impl<C: Clock> Engine<C> {
             }
             let begun = *self.buses_ending.get_or_insert(now);
             let mut done = true;
-            for open in &mut self.buses {
-                done &=
-                    open.exchange(&mut self.slots, |bus, slots| bus.shut_down(cycle, slots)).unwrap_or(true);
+            for (bus, open) in self.buses.iter_mut().enumerate() {
+                let shut_down = || open.exchange(&mut self.slots, |bus, slots| bus.shut_down(cycle, slots));
+                done &= self.panics.run(Part::Bus(bus), shut_down).flatten().unwrap_or(true);
             }
             self.status.cut_off = !done && now.since(begun) > BUSES_END_NS;
             self.buses_down = done || self.status.cut_off;
@@ -217,8 +219,9 @@ impl<C: Clock> Engine<C> {
     }
 
     pub(super) fn build(&mut self, next: &Cycle) {
-        for open in &mut self.buses {
-            open.work(&mut self.slots, |bus, slots| bus.prepare(next, slots));
+        for (bus, open) in self.buses.iter_mut().enumerate() {
+            let prepare = || open.work(&mut self.slots, |bus, slots| bus.prepare(next, slots));
+            self.panics.run(Part::Bus(bus), prepare);
         }
     }
 }
