@@ -12,9 +12,7 @@ use fieldbeat_core::axis::handle::{URGENT_ROOM, most_unended, room_for_ends};
 use fieldbeat_core::axis::newest;
 use fieldbeat_core::axis::{Axis, AxisEnds, Feedback, Observer, Pulse};
 use fieldbeat_core::bus::diagnosis::Seen;
-use fieldbeat_core::bus::{
-    BusClock, BusFacts, DeviceEnds, LastResort, OpenError, Opened, ReplyWithin, Unmatched,
-};
+use fieldbeat_core::bus::{BusFacts, BusNumbers, DeviceEnds, LastResort, OpenError, Opened, ReplyWithin};
 use fieldbeat_core::cycle::Plan;
 use fieldbeat_core::cycle::bound::{self, Paced};
 use fieldbeat_core::cycle::engine::{AxisEntry, AxisOutlet, Channels, Control, Engine};
@@ -199,11 +197,10 @@ pub fn assemble<C: Clock>(
         }
         let is_polled =
             facts.drives.iter().any(|drive| matches!(drive.reply_within, ReplyWithin::Turn { .. }));
-        let (unmatched_in, unmatched) = cell::cell(Unmatched::default());
-        let (clock_in, clock) = cell::cell(None::<BusClock>);
+        let (numbers_in, numbers) = cell::cell(BusNumbers::default());
         let BusFacts { devices, own_counters, is_one_frame, .. } = facts;
         let info = BusInfo { name: bus_plan.name().to_owned(), devices, own_counters, notes };
-        gauges.buses.push(BusGauge { info: info.clone(), unmatched, clock });
+        gauges.buses.push(BusGauge { info: info.clone(), numbers });
         buses.push(OpenBus {
             is_one_frame,
             bus,
@@ -213,8 +210,7 @@ pub fn assemble<C: Clock>(
             is_at_work: false,
             is_polled,
             gate: gate.clone(),
-            unmatched: unmatched_in,
-            clock: clock_in,
+            numbers: numbers_in,
         });
     }
     acyclics.extend(of_devices);

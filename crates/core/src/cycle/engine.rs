@@ -561,20 +561,8 @@ impl<C: Clock> Engine<C> {
                 end
             })
             .collect();
-        let buses = self.buses.iter().zip(&of_buses);
-        let buses = buses.map(|(open, numbers)| open.info.with(numbers.unmatched)).collect();
-        let clocks = of_buses.iter().map(|numbers| numbers.clock).collect();
-        let devices = self.buses.iter().flat_map(|open| open.info.devices()).collect();
-        Numbers {
-            status,
-            drives,
-            buses,
-            clocks,
-            devices,
-            panic,
-            page_faults: None,
-            involuntary_switches: None,
-        }
+        let buses = self.buses.iter().map(|open| &open.info).zip(of_buses);
+        Numbers { panic, ..Numbers::of(status, drives, buses) }
     }
 }
 

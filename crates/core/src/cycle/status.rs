@@ -6,7 +6,7 @@ use super::engine::LoopPanic;
 use crate::axis::cell::Reader;
 use crate::axis::{Feedback, Link, MONITOR_CHANNELS, Observer, Unit};
 use crate::bus::diagnosis::{Row, Seen};
-use crate::bus::{BusClock, Counters, Notes, OwnCounter, ProtocolCounters, Unmatched};
+use crate::bus::{BusClock, BusNumbers, Counters, Notes, OwnCounter, ProtocolCounters, Unmatched};
 pub use crate::drive::at_end::{AtEnd, Condition, StopRequest};
 pub use crate::drive::numbers::{DriveNumbers, Extent, Peak, Peaks};
 use crate::{packed, parts};
@@ -77,10 +77,11 @@ parts! {
         lost_events, cut_off, wake_max, jitter_max, stage_max, reference
     }
     ReferenceStatus { locked, losses, samples, silent, error_ns, error_max, step_ns, step_max }
+    BusNumbers { unmatched, clock }
     BusClock { error_ns, locked, error_max_ns, window_ns }
     Unmatched { datagrams, dropped, errors }
 }
-packed!(Status, Option<BusClock>, Unmatched);
+packed!(Status, BusNumbers);
 
 impl Status {
     /// Its counts, which are its first words: all that changes in a usual cycle.
@@ -211,21 +212,13 @@ pub struct Gauges {
 impl Gauges {
     /// The loop and all drives in numbers. Those of a drive are at most 64 cycles or 100 ms old.
     pub fn numbers(&self) -> Numbers {
-        let Gauges { status, axes, buses } = self;
-        Numbers {
-            status: status.read(),
-            drives: axes.iter().map(|axis| self.drive(axis)).collect(),
-            clocks: buses.iter().map(|bus| bus.clock.read()).collect(),
-            buses: buses.iter().map(|bus| bus.info.with(bus.unmatched.read())).collect(),
-            devices: self.devices(),
-            ..Numbers::default()
-        }
+        let drives = self.axes.iter().map(|axis| self.drive(axis)).collect();
+        Numbers::of(self.status.read(), drives, self.buses.iter().map(|bus| (&bus.info, bus.numbers.read())))
     }
 
     fn drive(&self, axis: &AxisGauge) -> DriveEnd {
-        let unmatched =
-            self.buses.get(axis.info.bus).map_or_else(Unmatched::default, |bus| bus.unmatched.read());
-        axis.info.with(axis.observer.feedback(), axis.numbers.read(), &unmatched)
+        let of_bus = self.buses.get(axis.info.bus).map(|bus| bus.numbers.read()).unwrap_or_default();
+        axis.info.with(axis.observer.feedback(), axis.numbers.read(), &of_bus.unmatched)
     }
 
     /// Why drive `index` is not online, and what to do; `None`: it is, or nothing is known yet.
@@ -261,10 +254,8 @@ pub struct AxisGauge {
 pub struct BusGauge {
     /// What stays the same.
     pub info: BusInfo,
-    /// Its unmatched counters.
-    pub unmatched: Reader<Unmatched>,
-    /// Its clock.
-    pub clock: Reader<Option<BusClock>>,
+    /// Its numbers.
+    pub numbers: Reader<BusNumbers>,
 }
 
 /// A device that takes part in the cycle and is not a drive.
@@ -337,6 +328,23 @@ pub struct Numbers {
     pub involuntary_switches: Option<u64>,
 }
 
+impl Numbers {
+    /// Those of the loop, its drives and its buses.
+    pub(super) fn of<'a>(
+        status: Status,
+        drives: Vec<DriveEnd>,
+        of_buses: impl Iterator<Item = (&'a BusInfo, BusNumbers)>,
+    ) -> Numbers {
+        let mut numbers = Numbers { status, drives, ..Numbers::default() };
+        for (info, BusNumbers { unmatched, clock }) in of_buses {
+            numbers.buses.push(info.with(unmatched));
+            numbers.clocks.push(clock);
+            numbers.devices.extend(info.devices());
+        }
+        numbers
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -397,7 +405,8 @@ mod tests {
         }
         let clock = BusClock { error_ns: Some(-7), locked: true, error_max_ns: 8, window_ns: 9 };
         for clock in [None, Some(clock), Some(BusClock { error_ns: None, locked: false, ..clock })] {
-            assert_eq!(<Option<BusClock>>::unpack(&clock.pack()), clock);
+            let numbers = BusNumbers { unmatched: Unmatched { datagrams: 1, dropped: 2, errors: 3 }, clock };
+            assert_eq!(BusNumbers::unpack(&numbers.pack()), numbers);
         }
     }
 

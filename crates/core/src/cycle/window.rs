@@ -8,7 +8,7 @@
 use super::plan::Wait;
 use super::status::BusInfo;
 use crate::axis::cell::Writer;
-use crate::bus::{Bus, BusClock, BusNumbers, Cycle, Slot, Unmatched};
+use crate::bus::{Bus, BusNumbers, Cycle, Slot};
 use crate::inputs::InputLog;
 use crate::rt::{Clock, PollSet, Regions, Wires};
 use crate::time::{Time, US};
@@ -57,10 +57,8 @@ pub struct OpenBus {
     pub end: usize,
     /// A call of it is under way, or has panicked.
     pub is_at_work: bool,
-    /// Its unmatched counters.
-    pub unmatched: Writer<Unmatched>,
-    /// Its clock.
-    pub clock: Writer<Option<BusClock>>,
+    /// Its numbers.
+    pub numbers: Writer<BusNumbers>,
     /// It is on a half-duplex wire, and wants to be polled.
     pub is_polled: bool,
     /// One frame serves all its drives.
@@ -125,8 +123,7 @@ impl OpenBus {
     /// Adds the memory that the loop touches for it, to be locked.
     pub fn memory(&self, regions: &mut Regions) {
         self.bus.memory(regions);
-        self.unmatched.memory(regions);
-        self.clock.memory(regions);
+        self.numbers.memory(regions);
         self.gate.wires.memory(regions);
     }
 
@@ -142,9 +139,7 @@ impl OpenBus {
 
     /// Publishes the numbers of the bus.
     pub fn publish(&mut self) {
-        let BusNumbers { unmatched, clock } = self.bus.numbers();
-        self.unmatched.write(&unmatched);
-        self.clock.write(&clock);
+        self.numbers.write(&self.bus.numbers());
     }
 }
 
@@ -311,7 +306,7 @@ mod tests {
 
     use super::*;
     use crate::axis::cell::cell;
-    use crate::bus::{Exchange, Unmatched};
+    use crate::bus::Exchange;
     use crate::rt::MonotonicClock;
     use crate::time::{MS, S};
 
@@ -413,8 +408,7 @@ mod tests {
             is_at_work: false,
             is_one_frame: false,
             gate: Gate::default(),
-            unmatched: cell(Unmatched::default()).0,
-            clock: cell(None).0,
+            numbers: cell(BusNumbers::default()).0,
         }
     }
 
