@@ -346,28 +346,28 @@ impl Group {
 
 /// Why `axes` cannot form a group.
 fn mismatch(axes: &[Axis]) -> Option<GroupError> {
-    let [first, others @ ..] = axes else { return Some(GroupError::TooFew(0)) };
-    if others.is_empty() {
-        return Some(GroupError::TooFew(1));
+    let other = |axis: &&Axis| !axes[0].shares_machine(axis);
+    match axes.iter().find(other) {
+        Some(other) => Some(GroupError::TwoMachines(axes[0].name().to_owned(), other.name().to_owned())),
+        None => out_of_step(axes.iter().map(Axis::plan)),
     }
-    others.iter().find_map(|other| {
-        if !first.shares_machine(other) {
-            return Some(GroupError::TwoMachines(first.name().to_owned(), other.name().to_owned()));
-        }
-        out_of_step(first.plan(), other.plan())
-    })
 }
 
-/// Why two axes cannot act together.
-pub(crate) fn out_of_step(first: &AxisPlan, other: &AxisPlan) -> Option<GroupError> {
-    let names = (first.name.clone(), other.name.clone());
-    if (first.divisor, first.phase) != (other.divisor, other.phase) {
-        Some(GroupError::OutOfStep(names.0, names.1))
-    } else if first.stop.group.is_none() || first.stop.group != other.stop.group {
-        Some(GroupError::TwoStopGroups(names.0, names.1))
-    } else if first.underrun != other.underrun {
-        Some(GroupError::TwoUnderruns(names.0, names.1))
-    } else {
-        None
-    }
+/// Why axes of one machine cannot act together.
+pub(crate) fn out_of_step<'a>(mut axes: impl ExactSizeIterator<Item = &'a AxisPlan>) -> Option<GroupError> {
+    let count = axes.len();
+    let first = axes.next().filter(|_| count > 1);
+    let Some(first) = first else { return Some(GroupError::TooFew(count)) };
+    axes.find_map(|other| {
+        let why = if (first.divisor, first.phase) != (other.divisor, other.phase) {
+            GroupError::OutOfStep
+        } else if first.stop.group.is_none() || first.stop.group != other.stop.group {
+            GroupError::TwoStopGroups
+        } else if first.underrun != other.underrun {
+            GroupError::TwoUnderruns
+        } else {
+            return None;
+        };
+        Some(why(first.name.clone(), other.name.clone()))
+    })
 }

@@ -54,22 +54,19 @@ impl<'a> Paced<'a> {
 
     /// The most cycles between two exchanges: one that has not ended is waited for, and the next one has its turn then.
     fn turn(&self) -> u64 {
-        let open = match self.pace {
-            Pace::Connection(cycles) | Pace::HalfDuplex(_, cycles) => cycles,
-            Pace::Cycle(_) | Pace::OwnClock(_) => 0,
-        };
+        let waits = matches!(self.pace, Pace::Connection(_) | Pace::HalfDuplex(..));
+        let open = if waits { self.late() } else { 0 };
         (open / self.divisor()).saturating_add(1).saturating_mul(self.divisor())
     }
 
     /// The most cycles from the slot of an exchange until it is known to be missed. Of a drive with its own clock: from
     /// the first slot after its last packet.
     fn late(&self) -> u64 {
-        match self.pace {
-            Pace::Cycle(cycles)
-            | Pace::Connection(cycles)
-            | Pace::HalfDuplex(_, cycles)
-            | Pace::OwnClock(cycles) => cycles,
-        }
+        let (Pace::Cycle(cycles)
+        | Pace::Connection(cycles)
+        | Pace::HalfDuplex(_, cycles)
+        | Pace::OwnClock(cycles)) = self.pace;
+        cycles
     }
 
     /// The most cycles from the slot of an exchange until its request is on the wire.
@@ -139,14 +136,6 @@ pub fn group<'a>(drive: &'a Paced<'a>, all: &'a [Paced<'a>]) -> impl Iterator<It
 pub fn stop_bound(plan: &Plan, index: usize) -> u64 {
     let all = paced(plan);
     all.get(index).map_or(0, |drive| bound(drive, &all))
-}
-
-/// The same for `axis` among `all`, whose replies count in so many cycles, that of the request included.
-pub fn stop_bound_cycles(axis: &AxisPlan, all: &[&AxisPlan], reply_within: u32) -> u64 {
-    let pace = Pace::Cycle(u64::from(reply_within.saturating_sub(1)));
-    let in_cycle = |axis| Paced { axis, pace, before_stop: 0 };
-    let all: Vec<Paced<'_>> = all.iter().map(|axis| in_cycle(*axis)).collect();
-    bound(&in_cycle(axis), &all)
 }
 
 /// The same, for one drive among all.

@@ -255,9 +255,6 @@ impl Demand {
 
     /// The slot that costs most to send and to receive.
     fn fullest(&self, costs: &Costs) -> Stages {
-        let all = self.buses.iter().flat_map(|bus| &bus.due);
-        let slots = all.fold(1, |slots: u64, (divisor, _)| lcm(slots, *divisor));
-        let slots = if slots > MOST_SLOTS { None } else { Some(slots) };
         let in_slot = |slot: Option<u64>| {
             let mut stages = Stages::default();
             for bus in &self.buses {
@@ -269,13 +266,8 @@ impl Demand {
             }
             stages
         };
-        match slots {
-            None => in_slot(None),
-            Some(slots) => {
-                let all = (0..slots).map(|slot| in_slot(Some(slot)));
-                all.max_by_key(Stages::total_ns).unwrap_or_default()
-            }
-        }
+        let slots = slots(self.buses.iter().flat_map(|bus| &bus.due));
+        slots.map(in_slot).max_by_key(Stages::total_ns).unwrap_or_default()
     }
 
     /// The divisor by which the drives of the largest bus would fit.
@@ -309,11 +301,7 @@ impl BusDemand {
         let (interface, mbit_s) = self.interface.as_ref()?;
         let mbit_s = mbit_s.filter(|mbit_s| *mbit_s > 0)?;
         let time = |bytes: usize| bytes as u64 * 8_000 / mbit_s;
-        let slots = self.due.iter().fold(1, |slots: u64, (divisor, _)| lcm(slots, *divisor));
-        let count = match slots {
-            0..=MOST_SLOTS => (0..slots).map(|slot| self.count_in(Some(slot))).max().unwrap_or(0),
-            _ => self.count_in(None),
-        };
+        let count = slots(self.due.iter()).map(|slot| self.count_in(slot)).max().unwrap_or(0);
         let ns = match self.load.medium {
             Medium::Frames => {
                 let all: usize = self.load.frames.iter().map(|bytes| (*bytes).max(SHORTEST) + AROUND).sum();
@@ -332,6 +320,13 @@ impl BusDemand {
 /// Periods that people take, ns.
 const LADDER: [u64; 12] =
     [100 * US, 200 * US, 250 * US, 500 * US, MS, 2 * MS, 4 * MS, 5 * MS, 8 * MS, 10 * MS, 20 * MS, 50 * MS];
+
+/// The slots in which drives of these divisors are due in different ways; `None`: there are too many of them.
+fn slots<'a>(due: impl Iterator<Item = &'a (u64, u64)>) -> impl Iterator<Item = Option<u64>> {
+    let count = due.fold(1, |slots, (divisor, _)| lcm(slots, *divisor));
+    let all = if count > MOST_SLOTS { 0 } else { count };
+    (0..all).map(Some).chain((all == 0).then_some(None))
+}
 
 fn lcm(one: u64, other: u64) -> u64 {
     let (mut a, mut b) = (one, other);

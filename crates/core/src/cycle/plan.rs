@@ -1,13 +1,13 @@
 //! The machine as configured and checked: what `config/` builds from TOML and an embedder builds by hand.
 
+use std::collections::HashSet;
 use std::ops::RangeInclusive;
 use std::path::PathBuf;
 
 use super::record::{NativeRecord, Record};
 use crate::axis::group::out_of_step;
 use crate::axis::{
-    AxisPlan, FaultNames, GroupError, MONITOR_CHANNELS, MonitorChannel, PlanFault, SilenceFaults, Units,
-    is_plain_name,
+    AxisPlan, FaultNames, MONITOR_CHANNELS, MonitorChannel, PlanFault, SilenceFaults, Units, is_plain_name,
 };
 use crate::bus::facts::of_drives;
 use crate::bus::native::NativeLayout;
@@ -134,14 +134,16 @@ impl Plan {
             errors
                 .push(format!("cycle: a receive deadline of {share} is not a share of the period, 0 ... 1"));
         }
-        let rate = self.cycle.max_skip_rate;
-        if !(0.0..=1.0).contains(&rate) {
-            errors.push(format!("cycle: a max_skip_rate of {rate} is not a share, 0 ... 1"));
-        }
         let Shares { late, skipped, unanswered } = self.cycle.tolerated;
-        let shares = [("late_share", late), ("skipped_share", skipped), ("unanswered_share", unanswered)];
-        for (key, share) in shares.into_iter().filter(|(_, share)| !(0.0..=1.0).contains(share)) {
-            errors.push(format!("cycle: a max_{key} of {share} is not a share, 0 ... 1"));
+        for (key, share) in [
+            ("skip_rate", self.cycle.max_skip_rate),
+            ("late_share", late),
+            ("skipped_share", skipped),
+            ("unanswered_share", unanswered),
+        ] {
+            if !(0.0..=1.0).contains(&share) {
+                errors.push(format!("cycle: a max_{key} of {share} is not a share, 0 ... 1"));
+            }
         }
         if let WatchAfter::Fixed(ns) = self.cycle.watch_after {
             let range = CyclePlan::watch_range_ns(self.cycle.period_ns);
@@ -150,33 +152,26 @@ impl Plan {
                 errors.push(format!("cycle: a watch_after of {} is outside {least} ... {most}", Ns(ns)));
             }
         }
-        if let Some(why) = self.black_box_fault() {
-            errors.push(format!("cycle: {why}"));
-        }
         let facts = self.facts();
-        if let Some(why) = self.reference_fault(&facts) {
-            errors.push(format!("cycle: {why}"));
-        }
+        let of_cycle = self.black_box_fault().into_iter().chain(self.reference_fault(&facts));
+        errors.extend(of_cycle.map(|why| format!("cycle: {why}")));
         errors.extend(self.native_layouts().err());
-        for (index, group) in self.groups.iter().enumerate() {
-            if self.groups[..index].iter().any(|other| other.name == group.name) {
-                errors.push(format!("group {}: its name is taken by another group", group.name));
-            }
+        let mut groups = HashSet::new();
+        for GroupPlan { name, .. } in self.groups.iter().filter(|group| !groups.insert(&group.name)) {
+            errors.push(format!("group {name}: its name is taken by another group"));
         }
         let axes = self.axes();
-        for (index, axis) in axes.iter().enumerate() {
-            if !is_plain_name(&axis.name) {
-                errors.push(format!(
-                    "drive {:?}: its name must be 1 to 32 letters, digits, - _ or .",
-                    axis.name
-                ));
+        let drives = axes.iter().map(|axis| ("drive", &axis.name));
+        let devices = facts.iter().flat_map(|bus| &bus.devices).map(|name| ("device", name));
+        let mut names = HashSet::new();
+        for (kind, name) in drives.chain(devices) {
+            if !is_plain_name(name) {
+                errors.push(format!("{kind} {name:?}: its name must be 1 to 32 letters, digits, - _ or ."));
             }
-            if axes[..index].iter().any(|other| other.name == axis.name) {
-                errors
-                    .push(format!("drive {}: its name is taken; names are unique in the machine", axis.name));
+            if !names.insert(name) {
+                errors.push(format!("{kind} {name}: its name is taken; names are unique in the machine"));
             }
         }
-        errors.extend(device_faults(&facts, &axes));
         for bus in &self.buses {
             let (mut faults, axes) = (bus.faults(self.cycle.period_ns), bus.axes());
             if faults.is_empty() {
@@ -300,22 +295,6 @@ impl Plan {
     }
 }
 
-/// What is wrong with the names of the devices that are not drives.
-fn device_faults(facts: &[BusFacts], axes: &[&AxisPlan]) -> Vec<String> {
-    let devices: Vec<&String> = facts.iter().flat_map(|bus| &bus.devices).collect();
-    let fault = |(index, name): (usize, &&String)| {
-        let taken = devices[..index].contains(name) || axes.iter().any(|axis| axis.name == **name);
-        if !is_plain_name(name) {
-            Some(format!("device {name:?}: its name must be 1 to 32 letters, digits, - _ or ."))
-        } else if taken {
-            Some(format!("device {name}: its name is taken; names are unique in the machine"))
-        } else {
-            None
-        }
-    };
-    devices.iter().enumerate().filter_map(fault).collect()
-}
-
 impl GroupPlan {
     /// Why its members, found by name among `axes`, cannot act together.
     pub fn fault(&self, axes: &[&AxisPlan]) -> Option<String> {
@@ -329,11 +308,7 @@ impl GroupPlan {
             }
             members.push(axis);
         }
-        let [first, others @ ..] = members.as_slice() else { return Some(GroupError::TooFew(0).to_string()) };
-        if others.is_empty() {
-            return Some(GroupError::TooFew(1).to_string());
-        }
-        others.iter().find_map(|other| out_of_step(first, other)).map(|error| error.to_string())
+        out_of_step(members.into_iter()).map(|error| error.to_string())
     }
 }
 

@@ -13,7 +13,7 @@ use fieldbeat::bus::linudp::{ControlWord, ErrorCode, ReplyTag, StreamCommand};
 use fieldbeat::sim::{FaultPlan, World, WorldOptions};
 use fieldbeat::time::{MS, US};
 use fieldbeat::{Axes, Cycle, Flow, Overrun};
-use fieldbeat_core::cycle::bound::stop_bound_cycles;
+use fieldbeat_core::cycle::bound::{Pace, Paced, bound};
 use fieldbeat_core::cycle::record::{Record, Reply};
 use fieldbeat_linudp::wire::{Request, ResponseDef};
 use fieldbeat_telemetry::tap::Tap;
@@ -164,9 +164,12 @@ impl Machine {
         let b = rig.start();
         task.lock().unwrap().world = Some(b.world());
         let plans: Vec<&AxisPlan> = b.drives.iter().map(|drive| &drive.axis).collect();
-        let stated = b.drives.iter();
-        let stated =
-            stated.map(|drive| stop_bound_cycles(&drive.axis, &plans, drive.replies_within())).collect();
+        let paced = b.drives.iter().map(|drive| {
+            let pace = Pace::Cycle(u64::from(drive.replies_within().saturating_sub(1)));
+            Paced { axis: &drive.axis, pace, before_stop: 0 }
+        });
+        let paced: Vec<Paced<'_>> = paced.collect();
+        let stated = paced.iter().map(|drive| bound(drive, &paced)).collect();
         let mut groups: BTreeMap<(Option<u16>, usize), Vec<usize>> = BTreeMap::new();
         for (index, axis) in plans.iter().enumerate() {
             let alone = if axis.stop.group.is_none() { index } else { 0 };
