@@ -140,6 +140,33 @@ pub enum Command {
     Native(NativeOwner),
 }
 
+/// What cyclic setpoints are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Level {
+    /// Velocities, user units/s.
+    Velocity,
+    /// Torques, per cent of the rated torque.
+    Torque,
+}
+
+impl Level {
+    /// All of them.
+    pub const ALL: [Level; 2] = [Level::Velocity, Level::Torque];
+
+    /// Its name in messages.
+    pub fn name(self) -> &'static str {
+        if self == Level::Velocity { "velocity" } else { "torque" }
+    }
+
+    /// Whether `command` takes them.
+    pub fn is_of(self, command: &Command) -> bool {
+        match self {
+            Level::Velocity => command.takes_velocities(),
+            Level::Torque => command.takes_torques(),
+        }
+    }
+}
+
 /// Who owns the control word in native mode.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum NativeOwner {

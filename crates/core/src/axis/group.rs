@@ -11,11 +11,11 @@ use std::time::{Duration, Instant};
 use thiserror::Error;
 
 use super::command::{
-    Command, CommandId, GroupCall, Move, Profile, QueuedCommand, Row, Setpoint, StreamRow, Target,
+    Command, CommandId, GroupCall, Level, Move, Profile, QueuedCommand, Row, Setpoint, StreamRow, Target,
 };
 use super::event::Event;
 use super::feedback::Feedback;
-use super::handle::{Axis, AxisError, Level};
+use super::handle::{Axis, AxisError};
 use super::observer::GRACE;
 use super::plan::AxisPlan;
 

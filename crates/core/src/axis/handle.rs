@@ -13,13 +13,13 @@ use thiserror::Error;
 
 use super::acyclic::{Acyclic, Parameters};
 use super::command::{
-    Abort, Command, CommandId, Failure, GroupCall, Jog, Move, Outcome, Profile, QueuedCommand, Row, Setpoint,
-    StreamRow, Target,
+    Abort, Command, CommandId, Failure, GroupCall, Jog, Level, Move, Outcome, Profile, QueuedCommand, Row,
+    Setpoint, StreamRow, Target,
 };
 use super::doorbell::Bell;
 use super::event::{Event, EventKind};
 use super::feedback::{BegunBy, Fault, FaultNames, Feedback, Link, StopCause};
-use super::limits::{Lacks, check_command, check_row, check_torque, check_velocity};
+use super::limits::{Lacks, check_command, check_level, check_row};
 use super::newest::NewestIn;
 use super::observer::{GRACE, Observer};
 use super::plan::AxisPlan;
@@ -93,25 +93,6 @@ pub struct Axis {
     /// Kept events that the application did not take and that had to make room.
     dropped: u64,
     streams: Streams,
-}
-
-/// What cyclic setpoints are.
-#[derive(Clone, Copy, Debug)]
-pub(super) enum Level {
-    Velocity,
-    Torque,
-}
-
-impl Level {
-    pub(super) const ALL: [Level; 2] = [Level::Velocity, Level::Torque];
-
-    /// Whether `command` takes them.
-    pub(super) fn is_of(self, command: &Command) -> bool {
-        match self {
-            Level::Velocity => command.takes_velocities(),
-            Level::Torque => command.takes_torques(),
-        }
-    }
 }
 
 /// The application's ends of the queues of one axis.
@@ -451,14 +432,7 @@ impl Axis {
 
     /// Whether this setpoint would be accepted now.
     pub(super) fn accepts_level(&self, level: Level, value: f64) -> Result<(), AxisError> {
-        match level {
-            Level::Velocity => {
-                check_velocity(&self.plan, value).map_err(|failure| self.refused("velocity", failure))?
-            }
-            Level::Torque => {
-                check_torque(&self.plan, value).map_err(|failure| self.refused("torque", failure))?
-            }
-        }
+        check_level(&self.plan, level, value).map_err(|failure| self.refused(level.name(), failure))?;
         self.is_served()
     }
 

@@ -1,7 +1,7 @@
 //! What an axis does not do, and its limits: a command, setpoint or row that breaks one is refused, on submission where
 //! that can be checked there.
 
-use super::command::{Command, Failure, Jog, Move, Profile, Row, Target};
+use super::command::{Command, Failure, Jog, Level, Move, Row, Target};
 use super::plan::{AxisPlan, Limits, Load};
 
 /// Why a drive does not do something, with the remedy; `None`: it does.
@@ -52,7 +52,9 @@ pub fn check_command(plan: &AxisPlan, lacks: &Lacks, command: &Command) -> Resul
     }
     match command {
         Command::Move(Move { target, profile }) => {
-            check_profile(plan, profile)?;
+            positive("velocity", profile.velocity, plan.limits.velocity)?;
+            positive("acceleration", profile.acceleration, plan.limits.acceleration)?;
+            positive("deceleration", profile.deceleration, plan.limits.acceleration)?;
             match *target {
                 Target::Absolute(position) => check_position(&plan.limits, position),
                 Target::Relative(distance) => finite(distance),
@@ -87,20 +89,18 @@ pub fn check_command(plan: &AxisPlan, lacks: &Lacks, command: &Command) -> Resul
 
 /// `Ok` if `velocity` is finite and within its limit, in either direction.
 pub fn check_velocity(plan: &AxisPlan, velocity: f64) -> Result<(), Failure> {
-    finite(velocity)?;
-    within("velocity", velocity.abs(), 0.0, plan.limits.velocity)
+    either_way("velocity", velocity, plan.limits.velocity)
 }
 
 /// `Ok` if `acceleration` is finite and within its limit, in either direction.
 pub fn check_acceleration(plan: &AxisPlan, acceleration: f64) -> Result<(), Failure> {
-    finite(acceleration)?;
-    within("acceleration", acceleration.abs(), 0.0, plan.limits.acceleration)
+    either_way("acceleration", acceleration, plan.limits.acceleration)
 }
 
-/// `Ok` if `torque` is finite and within its limit, in either direction.
-pub fn check_torque(plan: &AxisPlan, torque: f64) -> Result<(), Failure> {
-    finite(torque)?;
-    within("torque", torque.abs(), 0.0, plan.limits.torque)
+/// `Ok` if a setpoint is finite and within its limit, in either direction.
+pub fn check_level(plan: &AxisPlan, level: Level, value: f64) -> Result<(), Failure> {
+    let Limits { velocity, torque, .. } = plan.limits;
+    either_way(level.name(), value, if level == Level::Velocity { velocity } else { torque })
 }
 
 /// `Ok` if `row` is finite, inside the position and velocity limits, and at most a step away from `from`, the row
@@ -117,11 +117,6 @@ pub fn check_row(plan: &AxisPlan, row: &Row, from: Option<f64>) -> Result<(), Fa
 
 /// A step of exactly the largest size is not refused for its last binary digit.
 const EXACT: f64 = 1.0 + 1e-9;
-
-/// `Ok` if the axis may go from one position to the next in `seconds`.
-pub fn check_speed(plan: &AxisPlan, from: f64, to: f64, seconds: f64) -> Result<(), Failure> {
-    check_reach(plan, from, to, plan.limits.velocity.unwrap_or(f64::INFINITY) * seconds)
-}
 
 /// `Ok` if the axis may go from one position to the next when it gets `reach` far.
 pub fn check_reach(plan: &AxisPlan, from: f64, to: f64, reach: f64) -> Result<(), Failure> {
@@ -157,14 +152,13 @@ pub fn check_position(limits: &Limits, position: f64) -> Result<(), Failure> {
     }
 }
 
-fn check_profile(plan: &AxisPlan, profile: &Profile) -> Result<(), Failure> {
-    positive("velocity", profile.velocity, plan.limits.velocity)?;
-    positive("acceleration", profile.acceleration, plan.limits.acceleration)?;
-    positive("deceleration", profile.deceleration, plan.limits.acceleration)
-}
-
 fn finite(value: f64) -> Result<(), Failure> {
     if value.is_finite() { Ok(()) } else { Err(Failure::NotFinite) }
+}
+
+fn either_way(what: &'static str, value: f64, most: Option<f64>) -> Result<(), Failure> {
+    finite(value)?;
+    within(what, value.abs(), 0.0, most)
 }
 
 fn positive(what: &'static str, value: f64, most: Option<f64>) -> Result<(), Failure> {
@@ -232,11 +226,11 @@ mod tests {
     #[test]
     fn a_torque_keeps_to_its_limit_in_both_directions() {
         let mut plan = AxisPlan::new("x", Units::millimetres(1_000.0));
-        assert_eq!(check_torque(&plan, 1e6), Ok(()), "the drive's own limit only");
-        assert_eq!(check_torque(&plan, f64::NAN), Err(Failure::NotFinite));
+        assert_eq!(check_level(&plan, Level::Torque, 1e6), Ok(()), "the drive's own limit only");
+        assert_eq!(check_level(&plan, Level::Torque, f64::NAN), Err(Failure::NotFinite));
         plan.limits.torque = Some(120.0);
         for (torque, taken) in [(0.0, true), (120.0, true), (-120.0, true), (120.1, false), (-120.1, false)] {
-            assert_eq!(check_torque(&plan, torque).is_ok(), taken, "{torque}");
+            assert_eq!(check_level(&plan, Level::Torque, torque).is_ok(), taken, "{torque}");
         }
     }
 
@@ -255,7 +249,6 @@ mod tests {
         assert_eq!(check_row(&plan, &row, Some(49.0)), Ok(()));
         for refused in [
             check_row(&plan, &row, Some(unknown)),
-            check_speed(&plan, unknown, 50.0, 0.001),
             check_reach(&plan, unknown, 50.0, f64::INFINITY),
             check_braking(&plan, unknown, 50.0, 0.001),
         ] {

@@ -1,5 +1,6 @@
 //! The in-loop task: the application's own code inside the cycle.
 
+use crate::axis::command::Level;
 use crate::axis::{Command, CommandId, Failure, Feedback, QueuedCommand, Row};
 use crate::bus::Cycle;
 use crate::drive::controller::DriveController;
@@ -28,10 +29,8 @@ pub struct Axes<'a> {
 pub enum TaskCall {
     /// A command.
     Command(usize, Command),
-    /// A velocity.
-    Velocity(usize, f64),
-    /// A torque.
-    Torque(usize, f64),
+    /// A velocity or torque.
+    Level(usize, Level, f64),
     /// A row.
     Follow(usize, Row),
     /// A command that was refused, since the application had left no room for its end.
@@ -71,15 +70,10 @@ impl<'a> Axes<'a> {
 
     /// Gives a command to axis `index`, at most one a cycle. Its end is an event of the axis.
     pub fn command(&mut self, index: usize, command: Command) -> Result<CommandId, Failure> {
-        let controller =
-            self.controllers.get_mut(index).ok_or(Failure::Unsupported("there is no such axis"))?;
         let id = CommandId::of_task(*self.next_id);
-        controller.command_from_task(
-            self.cycle,
-            self.now,
-            QueuedCommand { id, member: index as u32, command, stream: 0, call: None },
-            |found| has_room(self.log, index, found),
-        )?;
+        let queued = QueuedCommand { id, member: index as u32, command, stream: 0, call: None };
+        let (cycle, now, log) = (self.cycle, self.now, self.log);
+        self.controller(index)?.command_from_task(cycle, now, queued, |found| has_room(log, index, found))?;
         *self.next_id += 1;
         self.log.calls(&TaskCall::Command(index, command));
         Ok(id)
@@ -88,21 +82,24 @@ impl<'a> Axes<'a> {
     /// The velocity of axis `index` at its next exchange, user units/s, while it runs [`Command::Velocity`] or
     /// [`Command::Jog`]; to be renewed before it is too old.
     pub fn set_velocity(&mut self, index: usize, velocity: f64) -> Result<(), Failure> {
-        let controller =
-            self.controllers.get_mut(index).ok_or(Failure::Unsupported("there is no such axis"))?;
-        controller.velocity_from_task(self.cycle.index, velocity)?;
-        self.log.calls(&TaskCall::Velocity(index, velocity));
-        Ok(())
+        self.set(index, Level::Velocity, velocity)
     }
 
     /// The torque of axis `index` at its next exchange, per cent of the rated torque, while it runs
     /// [`Command::Torque`]; to be renewed before it is too old.
     pub fn set_torque(&mut self, index: usize, torque: f64) -> Result<(), Failure> {
-        let controller =
-            self.controllers.get_mut(index).ok_or(Failure::Unsupported("there is no such axis"))?;
-        controller.torque_from_task(self.cycle.index, torque)?;
-        self.log.calls(&TaskCall::Torque(index, torque));
+        self.set(index, Level::Torque, torque)
+    }
+
+    fn set(&mut self, index: usize, level: Level, value: f64) -> Result<(), Failure> {
+        let cycle = self.cycle.index;
+        self.controller(index)?.level_from_task(cycle, level, value)?;
+        self.log.calls(&TaskCall::Level(index, level, value));
         Ok(())
+    }
+
+    fn controller(&mut self, index: usize) -> Result<&mut DriveController, Failure> {
+        self.controllers.get_mut(index).ok_or(Failure::Unsupported("there is no such axis"))
     }
 
     /// The row that axis `index` follows at its next exchange, while it runs [`Command::Follow`] outside of a group. It
@@ -119,8 +116,7 @@ impl<'a> Axes<'a> {
     pub fn repeat(&mut self, call: TaskCall) -> bool {
         match call {
             TaskCall::Command(index, command) => self.command(index, command).is_ok(),
-            TaskCall::Velocity(index, velocity) => self.set_velocity(index, velocity).is_ok(),
-            TaskCall::Torque(index, torque) => self.set_torque(index, torque).is_ok(),
+            TaskCall::Level(index, level, value) => self.set(index, level, value).is_ok(),
             TaskCall::Follow(index, row) => {
                 self.follow(index, row);
                 index < self.len()
@@ -154,9 +150,9 @@ impl Part for TaskCall {
                 command.put(&mut words[2..]);
                 (0, index)
             }
-            TaskCall::Velocity(index, value) | TaskCall::Torque(index, value) => {
+            TaskCall::Level(index, level, value) => {
                 value.put(&mut words[2..]);
-                (1 + u64::from(matches!(self, TaskCall::Torque(..))), index)
+                (1 + level as u64, index)
             }
             TaskCall::Follow(index, row) => {
                 row.put(&mut words[2..]);
@@ -171,8 +167,8 @@ impl Part for TaskCall {
         let (index, rest) = (words[1] as usize, &words[2..]);
         match words[0] {
             0 => TaskCall::Command(index, Part::take(rest)),
-            1 => TaskCall::Velocity(index, Part::take(rest)),
-            2 => TaskCall::Torque(index, Part::take(rest)),
+            1 => TaskCall::Level(index, Level::Velocity, Part::take(rest)),
+            2 => TaskCall::Level(index, Level::Torque, Part::take(rest)),
             3 => TaskCall::Follow(index, Part::take(rest)),
             _ => TaskCall::NoRoom(index),
         }

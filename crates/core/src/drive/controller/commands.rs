@@ -2,9 +2,9 @@
 
 use super::watch::Braked;
 use super::{Claim, DriveController, Latch, Owner};
-use crate::axis::command::NativeOwner;
+use crate::axis::command::{Level, NativeOwner};
 use crate::axis::doorbell::Bells;
-use crate::axis::limits::{check_command, check_position, check_torque, check_velocity};
+use crate::axis::limits::{check_command, check_level, check_position};
 use crate::axis::{
     Abort, Command, CommandId, Failure, GroupCall, Link, Load, Move, Outcome, OwnerLost, QueuedCommand, Row,
     Setpoint, State, StopCause, Target,
@@ -99,8 +99,6 @@ impl DriveController {
         // What waits is looked at again in the next cycle.
         self.called = self.task_command.is_some()
             || !self.queues.commands.is_empty()
-            || self.waiting.is_some()
-            || self.held.is_some()
             || leaves
             || self.duty.command() == Some(&Command::Reset);
     }
@@ -416,28 +414,15 @@ impl DriveController {
         self.task_row = Some(row);
     }
 
-    /// For the in-loop task: the velocity of the next send.
-    pub fn velocity_from_task(&mut self, cycle: u64, velocity: f64) -> Result<(), Failure> {
-        check_velocity(&self.plan, velocity)?;
-        self.setpoint_from_task(cycle, velocity, Command::takes_velocities);
-        Ok(())
-    }
-
-    /// For the in-loop task: the torque of the next send.
-    pub fn torque_from_task(&mut self, cycle: u64, torque: f64) -> Result<(), Failure> {
-        check_torque(&self.plan, torque)?;
-        self.setpoint_from_task(cycle, torque, Command::takes_torques);
-        Ok(())
-    }
-
-    /// The setpoint is for the command that begins now, or else for the running one; a command that takes no
-    /// setpoints ignores it.
-    fn setpoint_from_task(&mut self, cycle: u64, value: f64, takes: fn(&Command) -> bool) {
-        if let Some(queued) =
-            self.task_command.or(*self.duty.active()).filter(|queued| takes(&queued.command))
-        {
+    /// For the in-loop task: the velocity or torque of the next send. It is for the command that begins now, or else
+    /// for the running one; a command that takes no such setpoints ignores it.
+    pub fn level_from_task(&mut self, cycle: u64, level: Level, value: f64) -> Result<(), Failure> {
+        check_level(&self.plan, level, value)?;
+        let queued = self.task_command.or(*self.duty.active());
+        if let Some(queued) = queued.filter(|queued| level.is_of(&queued.command)) {
             self.take_setpoint(cycle, Setpoint { of: queued.id, value, ..Setpoint::default() });
         }
+        Ok(())
     }
 }
 

@@ -2,7 +2,7 @@
 //! none.
 
 use super::{DriveController, Owner, Queues};
-use crate::axis::limits::{check_braking, check_reach, check_row, check_speed};
+use crate::axis::limits::{check_braking, check_reach, check_row};
 use crate::axis::{
     Command, CommandId, EventKind, Failure, Outcome, QueuedCommand, Row, Setpoint, StopCause, Underrun,
 };
@@ -206,19 +206,17 @@ impl DriveController {
     /// The first row starts near the axis' position; later ones near the row before, and so that the axis can still
     /// stop inside its range.
     fn check_row(&self, row: &Row, last: Option<Row>) -> Result<(), Failure> {
-        let from = last.map_or(self.feedback.status.demand, |last| last.position);
-        let seconds = self.row_seconds;
-        check_row(&self.plan, row, Some(from))?;
-        match last {
+        let (limit, seconds) = (self.plan.limits.velocity, self.row_seconds);
+        let (from, velocity) = match last {
             None => {
-                let velocity = self.plan.limits.velocity.unwrap_or(self.plan.profile.velocity);
-                check_reach(&self.plan, from, row.position, velocity * FIRST_ROW_AHEAD * seconds)
+                let own = limit.unwrap_or(self.plan.profile.velocity);
+                (self.feedback.status.demand, own * FIRST_ROW_AHEAD)
             }
-            Some(_) => {
-                check_speed(&self.plan, from, row.position, seconds)?;
-                check_braking(&self.plan, from, row.position, seconds)
-            }
-        }
+            Some(last) => (last.position, limit.unwrap_or(f64::INFINITY)),
+        };
+        check_row(&self.plan, row, Some(from))?;
+        check_reach(&self.plan, from, row.position, velocity * seconds)?;
+        last.map_or(Ok(()), |_| check_braking(&self.plan, from, row.position, seconds))
     }
 
     fn fail_follow(&mut self, cycle: &Cycle, now: Time, failure: Failure, cause: StopCause) {
