@@ -1,7 +1,7 @@
 //! A new command: what it asks of the drive as it is now.
 
 use super::view::View;
-use super::{End, State, Step};
+use super::{End, Reset, State, Step};
 use crate::axis::command::NativeOwner;
 use crate::axis::{Command, Failure, State as Cia402};
 use crate::bus::desired::{Follows, Mode, ModeIs, Motion, Power, Quantity};
@@ -35,7 +35,7 @@ impl State {
 
     /// The begin of the setpoint for a drive that moves by itself.
     pub(super) fn found(&self, view: &View) -> Point {
-        let turns = view.status.velocity.abs() > view.rules.standstill;
+        let turns = view.status.velocity.abs() > view.rules.axis.stop.standstill;
         let velocity = if turns { view.status.velocity } else { 0.0 };
         // Its report is one exchange old.
         let position = view.evidence.position + velocity * view.rules.interval_ns as f64 * 1e-9;
@@ -83,27 +83,31 @@ impl State {
         let on = evidence.outputs_count && !self.was_switched_off();
         let can = &view.rules.can;
         let rest = match state {
-            Cia402::OperationEnabled if on && evidence.is_set_up => Power::EnableOperation,
-            Cia402::SwitchedOn if on => Power::SwitchOn,
-            _ => Power::Off,
-        };
-        match state {
             // What runs already is not switched off first.
             Cia402::OperationEnabled if on && evidence.is_set_up => {
                 self.operate(view);
                 // Its reports are from before this command.
                 self.power.serial = self.next_serial();
+                Power::EnableOperation
             }
             Cia402::QuickStopActive
                 if on && !can.leaves_quick_stop && self.power.value != Power::QuickStop =>
             {
                 return self.fail(Failure::WrongState(state));
             }
-            Cia402::QuickStopActive if on => {}
-            Cia402::SwitchedOn if on && can.switches_on_at_once => self.hold(evidence.position),
-            Cia402::SwitchedOn if on => self.set(Power::SwitchOn),
-            _ => self.set(Power::Shutdown),
-        }
+            Cia402::QuickStopActive if on => Power::Off,
+            Cia402::SwitchedOn if on => {
+                match can.switches_on_at_once {
+                    true => self.hold(evidence.position),
+                    false => self.set(Power::SwitchOn),
+                }
+                Power::SwitchOn
+            }
+            _ => {
+                self.set(Power::Shutdown);
+                Power::Off
+            }
+        };
         self.begin_step(since, Step::Enabling { rest })
     }
 
@@ -163,7 +167,7 @@ impl State {
                     && !self.is_homing()
                     && self.motion.value != Motion::Halt
                 {
-                    self.brake(deceleration.unwrap_or(view.rules.profile.deceleration), view);
+                    self.brake(deceleration.unwrap_or(view.rules.axis.profile.deceleration), view);
                     return self.begin_step(now, Step::Stopping);
                 }
             }
@@ -178,8 +182,8 @@ impl State {
 
     /// As fast as the drive is configured for it, with its power on.
     pub(super) fn halt(&mut self, view: &View) -> End {
-        let limits = &view.rules.limits;
-        let own = view.rules.profile.deceleration;
+        let limits = &view.rules.axis.limits;
+        let own = view.rules.axis.profile.deceleration;
         let most = limits.acceleration.unwrap_or(own).max(own);
         self.want_motion(Motion::Halt);
         self.course.halt(most, view);
@@ -191,7 +195,7 @@ impl State {
         if view.status.state == Cia402::Fault {
             self.set(Power::Off);
         }
-        self.begin_step(since, Step::ResetWaiting)
+        self.begin_step(since, Step::Resetting(Reset::Waiting))
     }
 
     pub(super) fn begin_native(&mut self, owner: NativeOwner, view: &View) -> End {
@@ -224,7 +228,7 @@ impl State {
         self.begin_step(view.now, Step::FollowWaiting);
         if !view.drive_makes_setpoints() {
             // The running motion ends here.
-            self.brake(view.rules.profile.deceleration, view);
+            self.brake(view.rules.axis.profile.deceleration, view);
         }
         self.want_motion(Motion::Follow);
         // The first row may have come with the command.
@@ -241,7 +245,7 @@ impl State {
         if self.motion.value == Motion::Halt {
             return;
         }
-        let deceleration = view.rules.profile.deceleration;
+        let deceleration = view.rules.axis.profile.deceleration;
         if view.drive_makes_setpoints() {
             // What has only just left may begin after this report.
             let runs = matches!(

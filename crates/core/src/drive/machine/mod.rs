@@ -27,7 +27,7 @@ mod tests;
 mod view;
 
 use self::begin::OTHER_MODE;
-use self::motion::{Jogging, Rolling};
+use self::motion::Rolling;
 use self::setpoint::{Course, Turning};
 pub use self::view::{Input, NumberedRow};
 use self::view::{Rules, View};
@@ -39,7 +39,7 @@ use crate::bus::desired::{
     Capabilities, Desired, Follows, Generator, Intent, Mode, ModeIs, Motion, Power, Setpoint, Velocities,
 };
 use crate::bus::{Prepared, Slot};
-use crate::time::Time;
+use crate::time::{Time, nanos};
 
 /// How a command has ended; `None`: it is under way.
 type End = Option<Result<(), Failure>>;
@@ -118,14 +118,8 @@ enum Step {
     HomeStopping(Result<(), Failure>),
     /// ... until it is back in its own mode, and its reference was read.
     HomeLeaving(Result<(), Failure>),
-    /// A fault that cannot be acknowledged yet.
-    ResetWaiting,
-    /// Without the reset, so that it has an edge.
-    ResetLow,
-    /// With it, until the drive has it.
-    ResetHigh,
-    Resetting,
-    ResetDone,
+    /// Acknowledging a fault.
+    Resetting(Reset),
     /// To a target ...
     Moving(f64),
     /// ... where the demand is, until the actual position is there, too. So many reports in a row show that the drive
@@ -134,10 +128,8 @@ enum Step {
         target: f64,
         stood: u8,
     },
-    /// A velocity as a target of the drive that rolls ahead.
+    /// At a velocity that the drive makes.
     Rolling(Rolling),
-    /// At a velocity that the drive makes by itself.
-    Jogging(Jogging),
     /// At a velocity or a torque of the master, towards a position limit if there is one ahead.
     Turning(Turning),
     /// A position limit is near: it stops before it.
@@ -165,6 +157,20 @@ enum Step {
     /// It moves without a setpoint: it stands only while it is halted.
     Halted,
     Native(NativeOwner),
+}
+
+/// How far the reset of a fault is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Reset {
+    /// The fault cannot be acknowledged yet.
+    Waiting,
+    /// Without the reset, so that it has an edge.
+    Low,
+    /// With it, until the drive has it ...
+    High,
+    /// ... and until the fault is gone.
+    Sent,
+    Done,
 }
 
 impl Machine {
@@ -306,7 +312,7 @@ impl Machine {
             Some(waiting) if waiting.failed => None,
             // What it replaces has ended for the application.
             Some(waiting) => {
-                let late = now.since(waiting.since) > self.rules.enable_timeout_ns;
+                let late = now.since(waiting.since) > nanos(self.rules.axis.enable_timeout);
                 (late && waiting.has_a_time_limit()).then_some(Err(Failure::TimedOut(slot.status.state)))
             }
             None => state.go_on(&view),
@@ -333,7 +339,7 @@ fn near(units: &Units, from: f64, position: f64) -> f64 {
 impl Rules {
     /// Of a motion that would leave the position limits, or has to end at one: at this place.
     pub fn out_of_limits(&self, value: f64) -> Failure {
-        let (low, high) = self.limits.position.unwrap_or((value, value));
+        let (low, high) = self.axis.limits.position.unwrap_or((value, value));
         Failure::Limit { what: "position", value, low, high }
     }
 
@@ -342,9 +348,11 @@ impl Rules {
     /// limit of acceleration, or than the axis' own profile if there is no limit.
     pub fn braking(&self, requested: f64, from: Point, lost: f64) -> f64 {
         let Point { position, velocity } = from;
-        let Some((low, high)) = self.limits.position.filter(|_| velocity != 0.0) else { return requested };
+        let Some((low, high)) = self.axis.limits.position.filter(|_| velocity != 0.0) else {
+            return requested;
+        };
         let room = if velocity > 0.0 { high - position } else { position - low } - lost;
-        let most = self.limits.acceleration.unwrap_or(self.profile.deceleration);
+        let most = self.axis.limits.acceleration.unwrap_or(self.axis.profile.deceleration);
         let needed = if room > 0.0 { velocity * velocity / (2.0 * room) } else { most };
         requested.max(needed.min(most))
     }
@@ -432,10 +440,10 @@ impl State {
         self.end_halt(view);
         let from = self.demand(view);
         let target = match motion.target {
-            Target::Absolute(position) => near(&view.rules.units, from, position),
+            Target::Absolute(position) => near(&view.rules.axis.units, from, position),
             Target::Relative(distance) => from + distance,
         };
-        if let Err(failure) = check_position(&view.rules.limits, target) {
+        if let Err(failure) = check_position(&view.rules.axis.limits, target) {
             return self.refuse(failure, view);
         }
         if view.drive_makes_setpoints() {
@@ -453,8 +461,8 @@ impl State {
             Generator::Master(_) => return self.begin_turning(acceleration, view),
         };
         match velocities {
-            Some(Velocities::Leash(leash)) => self.begin_rolling(acceleration, leash, view),
-            Some(Velocities::Own { .. }) => self.begin_jogging(acceleration, view),
+            Some(Velocities::Leash(leash)) => self.begin_rolling(acceleration, Some(leash), view),
+            Some(Velocities::Own { .. }) => self.begin_rolling(acceleration, None, view),
             // Refused on submission.
             None => None,
         }
@@ -589,13 +597,7 @@ impl State {
         }
         match self.step {
             // What they wait for comes all the same.
-            Step::Idle
-            | Step::Falling
-            | Step::ResetWaiting
-            | Step::ResetLow
-            | Step::ResetHigh
-            | Step::Resetting
-            | Step::ResetDone => None,
+            Step::Idle | Step::Falling | Step::Resetting(_) => None,
             _ => self.fail(Failure::Dropped(view.status.state)),
         }
     }

@@ -17,41 +17,30 @@ const MOST_BEHIND: u16 = 5_000;
 /// The next target of a velocity is sent when so much of its leash is left.
 const LEASH_LEFT: f64 = 0.75;
 
-/// A velocity that the drive makes by itself.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Jogging {
-    /// Signed, user units/s; 0 = braking, or at standstill.
-    velocity: f64,
-    acceleration: f64,
-    /// A position limit may be ahead: it is watched with each report.
-    watched: bool,
-}
-
-impl Jogging {
-    /// Nothing is to be done: no other velocity is `wanted`, and no limit to be watched.
-    pub(super) fn goes_on(&self, wanted: f64) -> bool {
-        wanted == self.velocity && self.velocity != 0.0 && !self.watched
-    }
-}
-
-/// A velocity as a target that rolls ahead of the axis.
+/// A velocity that the drive makes: as a target that rolls ahead of the axis on a leash, or by itself.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Rolling {
     /// Signed, user units/s; 0 = braking, or at standstill.
     velocity: f64,
     acceleration: f64,
-    leash: f64,
+    leash: Option<f64>,
     /// The last target sent, user units.
     target: f64,
-    /// The target is the position limit: it rolls no further.
-    at_limit: bool,
+    /// That is the position limit: it rolls no further. Without a target: a position limit may be ahead.
+    watched: bool,
 }
 
 impl Rolling {
-    /// At `demand` its target is still far enough ahead, and no other velocity is `wanted`.
+    /// Nothing is to be done: no other velocity is `wanted`, no limit is to be watched, and at `demand` the target is
+    /// still far enough ahead.
     pub(super) fn goes_on(&self, wanted: f64, demand: f64) -> bool {
-        let far = (self.target - demand).abs() > self.leash * LEASH_LEFT;
-        far && wanted == self.velocity && !self.at_limit && self.velocity != 0.0
+        let far = self.leash.is_none_or(|leash| (self.target - demand).abs() > leash * LEASH_LEFT);
+        far && wanted == self.velocity && !self.watched && self.velocity != 0.0
+    }
+
+    /// The drive makes it by itself.
+    pub(super) fn is_its_own(&self) -> bool {
+        self.leash.is_none()
     }
 }
 
@@ -69,7 +58,11 @@ impl State {
     /// Positions on the wire are counted from here: the count of a rotary axis wraps around, in the drive as in the
     /// master, so that a target is at most half of its range away from the demand.
     fn origin(&self, view: &View) -> f64 {
-        if view.rules.units.modulo.is_some() { view.evidence.demand } else { view.rules.units.offset }
+        if view.rules.axis.units.modulo.is_some() {
+            view.evidence.demand
+        } else {
+            view.rules.axis.units.offset
+        }
     }
 
     pub(super) fn brake_by_drive(&mut self, deceleration: f64, view: &View) {
@@ -92,109 +85,94 @@ impl State {
         view.rules.braking(requested, from, lost)
     }
 
-    pub(super) fn begin_rolling(&mut self, acceleration: f64, leash: f64, view: &View) -> End {
-        self.roll_on(
-            Rolling { velocity: view.input.level, acceleration, leash, target: 0.0, at_limit: false },
-            view,
-        )
+    pub(super) fn begin_rolling(&mut self, acceleration: f64, leash: Option<f64>, view: &View) -> End {
+        let velocity = view.input.level;
+        self.roll_on(Rolling { velocity, acceleration, leash, target: 0.0, watched: false }, view)
     }
 
+    /// With each report: the newest velocity or target once the one before was accepted, and no limit is passed.
     pub(super) fn roll(&mut self, rolling: Rolling, settled: bool, view: &View) -> End {
-        if !self.is_accepted(view) {
-            return None;
-        }
-        if view.input.level != rolling.velocity {
-            return self.roll_on(Rolling { velocity: view.input.level, ..rolling }, view);
-        }
-        if rolling.at_limit {
-            if settled {
-                return self.fail(view.rules.out_of_limits(rolling.target));
+        let Rolling { velocity, acceleration, .. } = rolling;
+        if rolling.is_its_own() && velocity != 0.0 {
+            let demand = view.evidence.demand_velocity;
+            // What counts is its present direction, whatever is wanted.
+            let present = if demand == 0.0 { velocity } else { demand };
+            if self.is_limit_near(present, acceleration, view) {
+                let (low, high) = view.rules.axis.limits.position.unwrap_or_default();
+                self.brake_by_drive(acceleration, view);
+                return self.begin_step(view.now, Step::Limited(if present > 0.0 { high } else { low }));
             }
-        } else if rolling.velocity != 0.0 && !rolling.goes_on(view.input.level, view.evidence.demand) {
-            return self.roll_on(rolling, view);
-        }
-        None
-    }
-
-    /// The next target, a leash ahead of the demand; for velocity 0 a ramp.
-    fn roll_on(&mut self, mut rolling: Rolling, view: &View) -> End {
-        rolling.at_limit = false;
-        if rolling.velocity == 0.0 {
-            self.brake_by_drive(rolling.acceleration, view);
-            return self.begin_step(view.now, Step::Rolling(rolling));
-        }
-        // Half of the leash is always ahead; the axis must be able to brake within it, or it would never reach that
-        // speed.
-        let most = (rolling.acceleration * rolling.leash).sqrt();
-        if rolling.velocity.abs() > most {
-            let (what, value) = ("velocity within the leash", rolling.velocity);
-            return self.refuse(Failure::Limit { what, value, low: -most, high: most }, view);
-        }
-        let demand = view.evidence.demand;
-        rolling.target = demand + rolling.leash.copysign(rolling.velocity);
-        if let Some((low, high)) = view.rules.limits.position {
-            // Only the limit ahead ends the motion: from outside the range it leads back in.
-            let forward = rolling.velocity > 0.0;
-            let (ahead, beyond) =
-                if forward { (high, rolling.target > high) } else { (low, rolling.target < low) };
-            if beyond && (ahead - demand) * rolling.velocity <= 0.0 {
-                return self.refuse(view.rules.out_of_limits(rolling.target), view);
-            }
-            rolling.at_limit = beyond;
-            rolling.target = if beyond { ahead } else { rolling.target };
-        }
-        let (velocity, acceleration) = (rolling.velocity.abs(), rolling.acceleration);
-        let profile = Profile { velocity, acceleration, deceleration: acceleration };
-        self.move_by_drive(rolling.target, &profile, Step::Rolling(rolling), view)
-    }
-
-    pub(super) fn begin_jogging(&mut self, acceleration: f64, view: &View) -> End {
-        let watched = view.rules.limits.position.is_some();
-        self.jog_on(Jogging { velocity: view.input.level, acceleration, watched }, view)
-    }
-
-    /// Another velocity; for 0 a ramp.
-    fn jog_on(&mut self, jogging: Jogging, view: &View) -> End {
-        let Jogging { velocity, acceleration, .. } = jogging;
-        if velocity == 0.0 {
-            self.brake_by_drive(acceleration, view);
-            return self.begin_step(view.now, Step::Jogging(jogging));
-        }
-        if let Err(range) = view.rules.can.ranges.check_velocity(velocity.abs(), acceleration) {
-            return self.refuse(range.into(), view);
-        }
-        if view.status.homed && self.is_limit_near(velocity, acceleration, view) {
-            return self.refuse(view.rules.out_of_limits(view.evidence.demand), view);
-        }
-        self.want_motion(Motion::Velocity { velocity, acceleration });
-        self.begin_step(view.now, Step::Jogging(jogging))
-    }
-
-    /// With each report: the newest velocity once the one before was accepted, and no limit is passed.
-    pub(super) fn jog(&mut self, jogging: Jogging, settled: bool, view: &View) -> End {
-        let Jogging { velocity, acceleration, .. } = jogging;
-        let demand = view.evidence.demand_velocity;
-        // What counts is its present direction, whatever is wanted.
-        let present = if demand == 0.0 { velocity } else { demand };
-        if velocity != 0.0 && view.status.homed && self.is_limit_near(present, acceleration, view) {
-            let (low, high) = view.rules.limits.position.unwrap_or_default();
-            self.brake_by_drive(acceleration, view);
-            return self.begin_step(view.now, Step::Limited(if present > 0.0 { high } else { low }));
         }
         if !self.is_accepted(view) {
             return None;
         }
         if view.input.level != velocity {
-            return self.jog_on(Jogging { velocity: view.input.level, ..jogging }, view);
+            return self.roll_on(Rolling { velocity: view.input.level, ..rolling }, view);
         }
-        // Nothing of the master has ended it: a limit of the drive's own, or something else that commands it.
-        if settled && velocity != 0.0 { self.refuse(Failure::NotArrived, view) } else { None }
+        match rolling.is_its_own() {
+            // Nothing of the master has ended it: a limit of the drive's own, or something else that commands it.
+            true if settled && velocity != 0.0 => self.refuse(Failure::NotArrived, view),
+            false if rolling.watched && settled => self.fail(view.rules.out_of_limits(rolling.target)),
+            false
+                if !rolling.watched
+                    && velocity != 0.0
+                    && !rolling.goes_on(view.input.level, view.evidence.demand) =>
+            {
+                self.roll_on(rolling, view)
+            }
+            _ => None,
+        }
+    }
+
+    /// Another velocity, or the next target, a leash ahead of the demand; for velocity 0 a ramp.
+    fn roll_on(&mut self, mut rolling: Rolling, view: &View) -> End {
+        let Rolling { velocity, acceleration, .. } = rolling;
+        let limits = view.rules.axis.limits.position;
+        rolling.watched = rolling.is_its_own() && limits.is_some();
+        if velocity == 0.0 {
+            self.brake_by_drive(acceleration, view);
+            return self.begin_step(view.now, Step::Rolling(rolling));
+        }
+        let demand = view.evidence.demand;
+        let Some(leash) = rolling.leash else {
+            if let Err(range) = view.rules.can.ranges.check_velocity(velocity.abs(), acceleration) {
+                return self.refuse(range.into(), view);
+            }
+            if self.is_limit_near(velocity, acceleration, view) {
+                return self.refuse(view.rules.out_of_limits(demand), view);
+            }
+            self.want_motion(Motion::Velocity { velocity, acceleration });
+            return self.begin_step(view.now, Step::Rolling(rolling));
+        };
+        // Half of the leash is always ahead; the axis must be able to brake within it, or it would never reach that
+        // speed.
+        let most = (acceleration * leash).sqrt();
+        if velocity.abs() > most {
+            let what = "velocity within the leash";
+            return self.refuse(Failure::Limit { what, value: velocity, low: -most, high: most }, view);
+        }
+        rolling.target = demand + leash.copysign(velocity);
+        if let Some((low, high)) = limits {
+            // Only the limit ahead ends the motion: from outside the range it leads back in.
+            let forward = velocity > 0.0;
+            let (ahead, beyond) =
+                if forward { (high, rolling.target > high) } else { (low, rolling.target < low) };
+            if beyond && (ahead - demand) * velocity <= 0.0 {
+                return self.refuse(view.rules.out_of_limits(rolling.target), view);
+            }
+            rolling.watched = beyond;
+            rolling.target = if beyond { ahead } else { rolling.target };
+        }
+        let profile = Profile { velocity: velocity.abs(), acceleration, deceleration: acceleration };
+        self.move_by_drive(rolling.target, &profile, Step::Rolling(rolling), view)
     }
 
     /// At this velocity it could not be stopped any more before its position limit, with the time that a ramp takes to
-    /// begin.
+    /// begin. Before homing positions mean nothing.
     fn is_limit_near(&self, velocity: f64, acceleration: f64, view: &View) -> bool {
-        let Some((low, high)) = view.rules.limits.position else { return false };
+        let Some((low, high)) = view.rules.axis.limits.position.filter(|_| view.status.homed) else {
+            return false;
+        };
         let Generator::Drive { velocities: Some(Velocities::Own { reaction_ns }) } = view.rules.can.generator
         else {
             return false;
@@ -210,8 +188,10 @@ impl State {
         if next.number == self.row {
             return None;
         }
-        let row =
-            Row { position: near(&view.rules.units, view.evidence.demand, next.row.position), ..next.row };
+        let row = Row {
+            position: near(&view.rules.axis.units, view.evidence.demand, next.row.position),
+            ..next.row
+        };
         if let Err(range) = view.rules.can.ranges.check_row(row.position - self.origin(view), &row) {
             return self.refuse(range.into(), view);
         }

@@ -137,7 +137,8 @@ impl Rules {
     /// A velocity or torque within its limit.
     fn within_limit(&self, level: f64) -> f64 {
         let torque = self.quantity == Some(Quantity::Torque);
-        let most = if torque { self.limits.torque } else { self.limits.velocity }.unwrap_or(f64::INFINITY);
+        let most =
+            if torque { self.axis.limits.torque } else { self.axis.limits.velocity }.unwrap_or(f64::INFINITY);
         level.clamp(-most, most)
     }
 }
@@ -155,7 +156,8 @@ impl State {
         if view.drive_makes_setpoints() { view.evidence.demand } else { self.course.demand.position }
     }
 
-    /// The setpoint in the slot is that of the next send, too.
+    /// The setpoint in the slot is that of the next send, too. No revision says so: setpoints have none. It saves 202
+    /// instructions a drive and cycle at a constant velocity of the master, and 67 where the drive makes its setpoints.
     #[inline]
     pub(super) fn keeps_setpoint(&self, input: &Input, slot: &Slot) -> bool {
         if self.is_new {
@@ -217,7 +219,7 @@ impl State {
         course.next_ns = course.passed_ns.saturating_add(waited.min(most));
         course.next = course.motion.at(course.next_ns);
         let is_place =
-            view.rules.quantity == Some(Quantity::Position) || view.rules.limits.position.is_some();
+            view.rules.quantity == Some(Quantity::Position) || view.rules.axis.limits.position.is_some();
         course.is_constant = !is_place && course.motion.is_over(course.next_ns);
         course.level = view.input.level;
         end
@@ -262,8 +264,12 @@ impl State {
         }
         let up = turning.acceleration;
         let braking = self.course.braking(up, view);
-        let range =
-            view.rules.limits.position.filter(|_| quantity == Some(Quantity::Position) && velocity != 0.0);
+        let range = view
+            .rules
+            .axis
+            .limits
+            .position
+            .filter(|_| quantity == Some(Quantity::Position) && velocity != 0.0);
         let Some((low, high)) = range else {
             self.course.run(velocity, braking);
             let turning = Turning { velocity, limit: None, ..turning };
@@ -294,7 +300,7 @@ impl State {
 
     /// The same where only velocities are commanded: by the position of the axis, once it is known.
     fn watch_velocity(&mut self, turning: Turning, view: &View) -> End {
-        let (low, high) = view.rules.limits.position.filter(|_| view.status.homed)?;
+        let (low, high) = view.rules.axis.limits.position.filter(|_| view.status.homed)?;
         let from = self.course.demand;
         let velocity = if from.velocity == 0.0 { turning.velocity } else { from.velocity };
         if velocity == 0.0 {
@@ -328,7 +334,7 @@ impl State {
             return None;
         }
         let from = self.course.demand.position;
-        let position = near(&view.rules.units, from, next.row.position);
+        let position = near(&view.rules.axis.units, from, next.row.position);
         if !position.is_finite() {
             return self.refuse(Failure::NotFinite, view);
         }

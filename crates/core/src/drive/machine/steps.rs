@@ -2,7 +2,7 @@
 
 use super::begin::{OTHER_MODE, fallen_back};
 use super::view::{Input, View};
-use super::{End, State, Step};
+use super::{End, Reset, State, Step};
 use crate::axis::command::NativeOwner;
 use crate::axis::{Command, Failure, State as Cia402};
 use crate::bus::Slot;
@@ -24,7 +24,7 @@ const HOME_FAILED: Failure = Failure::Unsupported(
 impl State {
     /// Goes on with the command by the present report; how it has ended.
     pub(super) fn go_on(&mut self, view: &View) -> End {
-        let waits = matches!(self.step, Step::Idle | Step::Falling | Step::ResetWaiting);
+        let waits = matches!(self.step, Step::Idle | Step::Falling | Step::Resetting(Reset::Waiting));
         if view.fresh && !view.evidence.outputs_count && !waits {
             // It came to this step by an output.
             return self.give_up(Failure::Dropped(view.status.state), view);
@@ -45,9 +45,7 @@ impl State {
             Step::Native(NativeOwner::Application) => None,
             Step::Enabling { rest } => self.enabling(rest, view),
             Step::Falling => self.falling(view),
-            Step::ResetWaiting | Step::ResetLow | Step::ResetHigh | Step::Resetting | Step::ResetDone => {
-                self.resetting(view)
-            }
+            Step::Resetting(reset) => self.resetting(reset, view),
             Step::TakingOver(command) => self.taking_over(command, view),
             // The others need the drive in operation.
             _ => self.falls(view).unwrap_or_else(|| match self.step {
@@ -59,7 +57,9 @@ impl State {
         }
     }
 
-    /// Nothing has come to its end, and the drive is in operation as it is commanded: nothing is to be done.
+    /// Nothing has come to its end, and the drive is in operation as it is commanded: nothing is to be done. It depends on
+    /// each report, so it has no revision. It saves 137 instructions a drive and cycle of a LinMot that jogs, and 79 at a
+    /// velocity of the master.
     #[inline]
     pub(super) fn is_undisturbed(&self, input: &Input, slot: &Slot) -> bool {
         let Slot { status, evidence, .. } = slot;
@@ -67,8 +67,9 @@ impl State {
             Step::Idle => !matches!(self.motion.value, Motion::Ramp { .. }),
             Step::Turning(_) | Step::FollowWaiting | Step::Following => true,
             Step::Moving(_) => status.moving && !(self.has_course && self.course.stands()),
-            Step::Rolling(rolling) => rolling.goes_on(input.level, evidence.demand),
-            Step::Jogging(jogging) => jogging.goes_on(input.level) && status.moving,
+            Step::Rolling(rolling) => {
+                rolling.goes_on(input.level, evidence.demand) && (status.moving || !rolling.is_its_own())
+            }
             _ => false,
         };
         goes_on
@@ -125,13 +126,13 @@ impl State {
                 // From its quick stop it comes back at standstill only.
                 Some(Power::EnableOperation)
                     if state == Cia402::QuickStopActive
-                        && view.status.velocity.abs() > view.rules.standstill => {}
+                        && view.status.velocity.abs() > view.rules.axis.stop.standstill => {}
                 Some(Power::EnableOperation) => self.hold(evidence.position),
                 Some(next) => self.set(next),
                 None => {}
             }
         }
-        if self.is_late(view, view.rules.enable_timeout_ns) {
+        if self.is_late(view, nanos(view.rules.axis.enable_timeout)) {
             self.set(rest);
             return self.fail(Failure::TimedOut(state));
         }
@@ -148,7 +149,7 @@ impl State {
         if self.has_power(view) && self.agrees(there, view.rules.can.power_reports, view) {
             return self.done();
         }
-        if self.is_late(view, view.rules.enable_timeout_ns) {
+        if self.is_late(view, nanos(view.rules.axis.enable_timeout)) {
             return self.fail(Failure::TimedOut(state));
         }
         None
@@ -223,7 +224,6 @@ impl State {
             Step::Stopping if settled => self.done(),
             Step::Limited(limit) if settled => self.fail(view.rules.out_of_limits(limit)),
             Step::Rolling(rolling) => self.roll(rolling, settled, view),
-            Step::Jogging(jogging) => self.jog(jogging, settled, view),
             _ => None,
         }
     }
@@ -235,7 +235,7 @@ impl State {
         if !stands && demand_goes_on(target, view) {
             return self.enter(Step::Moving(target));
         }
-        let (can, wanted) = (&view.rules.can, &view.rules.in_position);
+        let (can, wanted) = (&view.rules.can, &view.rules.axis.in_position);
         let stood = if stands { stood.saturating_add(1) } else { 0 };
         self.step = Step::Arriving { target, stood };
         if stood >= can.still_reports && is_elsewhere(target, view) {
@@ -323,7 +323,7 @@ impl State {
                 Some(Err(Failure::StillMoves))
             }
             Step::Released if report.moving && view.drive_makes_setpoints() && view.evidence.ready => {
-                self.brake(view.rules.profile.deceleration, view);
+                self.brake(view.rules.axis.profile.deceleration, view);
                 self.begin_step(view.now, Step::Stopping)
             }
             Step::Released if settled && !self.stands_too_short(view) => self.done(),
@@ -345,9 +345,9 @@ impl State {
     fn disobeys(&mut self, view: &View) -> End {
         let there = view.drive_makes_setpoints() && view.operates() && view.evidence.ready;
         if there && self.sent > HALT_WITHIN && self.is_late(view, HALT_WITHIN_NS) {
-            let own = view.rules.profile.deceleration;
+            let own = view.rules.axis.profile.deceleration;
             self.want_motion(Motion::Hold);
-            self.brake(view.rules.limits.acceleration.unwrap_or(own), view);
+            self.brake(view.rules.axis.limits.acceleration.unwrap_or(own), view);
             self.begin_step(view.now, Step::Stopping);
         }
         None
@@ -401,7 +401,7 @@ impl State {
             }
             _ => {}
         }
-        if self.is_late(view, view.rules.home_timeout_ns) {
+        if self.is_late(view, nanos(view.rules.axis.home_timeout)) {
             self.want_mode(Mode::Own);
             self.hold(evidence.position);
             return self.fail(Failure::TimedOut(view.status.state));
@@ -418,15 +418,15 @@ impl State {
         });
     }
 
-    fn resetting(&mut self, view: &View) -> End {
+    fn resetting(&mut self, reset: Reset, view: &View) -> End {
         let fault = view.evidence.fault;
         if self.has_power(view) {
-            match (self.step, fault.active) {
-                (Step::ResetWaiting, false) if self.agrees(true, view.rules.can.power_reports, view) => {
+            match (reset, fault.active) {
+                (Reset::Waiting, false) if self.agrees(true, view.rules.can.power_reports, view) => {
                     self.set(Power::Off);
                     return self.done();
                 }
-                (Step::ResetWaiting, true) => {
+                (Reset::Waiting, true) => {
                     self.agree = 0;
                     match fault.resettable {
                         _ if !fault.named => {}
@@ -438,28 +438,28 @@ impl State {
                         Resettable::At(at) if view.now < at => self.since = view.now,
                         Resettable::Now | Resettable::At(_) => {
                             self.set(Power::Off);
-                            self.enter(Step::ResetLow);
+                            self.enter(Step::Resetting(Reset::Low));
                         }
                     }
                 }
-                (Step::ResetLow, _) => {
+                (Reset::Low, _) => {
                     self.want_power(Power::FaultReset);
-                    self.begin_step(view.now, Step::ResetHigh);
+                    self.begin_step(view.now, Step::Resetting(Reset::High));
                 }
                 // However long it took to get there: its report is the first one behind the edge.
-                (Step::ResetHigh, true) => {
-                    self.begin_step(view.now, Step::Resetting);
+                (Reset::High, true) => {
+                    self.begin_step(view.now, Step::Resetting(Reset::Sent));
                 }
-                (Step::ResetHigh | Step::Resetting, false) => {
+                (Reset::High | Reset::Sent, false) => {
                     self.set(Power::Off);
-                    self.enter(Step::ResetDone);
+                    self.enter(Step::Resetting(Reset::Done));
                 }
-                (Step::Resetting, true) if self.is_late(view, RESET_WITHIN_NS) => {
+                (Reset::Sent, true) if self.is_late(view, RESET_WITHIN_NS) => {
                     self.set(Power::Off);
                     return self.fail(view.failed());
                 }
-                (Step::ResetDone, true) if fault.named => return self.fail(view.failed()),
-                (Step::ResetDone, false) => {
+                (Reset::Done, true) if fault.named => return self.fail(view.failed()),
+                (Reset::Done, false) => {
                     let off = !view.status.state.is_powered();
                     if self.agrees(off, view.rules.can.power_reports, view) {
                         return self.done();
@@ -468,7 +468,7 @@ impl State {
                 _ => {}
             }
         }
-        if self.is_late(view, view.rules.enable_timeout_ns) {
+        if self.is_late(view, nanos(view.rules.axis.enable_timeout)) {
             self.set(Power::Off);
             let end = if fault.active && fault.named {
                 view.failed()

@@ -1,9 +1,9 @@
 //! What the machine works with: what never changes of its axis, and what it sees of its drive now.
 
-use crate::axis::{AxisPlan, DriveStatus, Failure, InPosition, Limits, Profile, Row, State as Cia402, Units};
+use crate::axis::{AxisPlan, DriveStatus, Failure, Row, State as Cia402};
 use crate::bus::Slot;
 use crate::bus::desired::{Capabilities, Evidence, Generator, ModeIs, Quantity};
-use crate::time::{Time, nanos};
+use crate::time::Time;
 
 /// What does not change.
 #[derive(Debug)]
@@ -11,14 +11,8 @@ pub(super) struct Rules {
     pub can: Capabilities,
     /// The quantity of the setpoints that the master makes; `None`: the drive makes them.
     pub quantity: Option<Quantity>,
-    pub units: Units,
-    pub limits: Limits,
-    pub profile: Profile,
-    pub standstill: f64,
-    pub in_position: InPosition,
+    pub axis: AxisPlan,
     pub interval_ns: u64,
-    pub enable_timeout_ns: u64,
-    pub home_timeout_ns: u64,
 }
 
 impl Rules {
@@ -27,18 +21,8 @@ impl Rules {
             Generator::Master(quantity) => Some(quantity),
             Generator::Drive { .. } => None,
         };
-        Rules {
-            can,
-            quantity,
-            units: axis.units,
-            limits: axis.limits,
-            profile: axis.profile,
-            standstill: axis.stop.standstill,
-            in_position: axis.in_position,
-            interval_ns: period_ns.saturating_mul(axis.divisor.into()),
-            enable_timeout_ns: nanos(axis.enable_timeout),
-            home_timeout_ns: nanos(axis.home_timeout),
-        }
+        let interval_ns = period_ns.saturating_mul(axis.divisor.into());
+        Rules { can, quantity, axis: axis.clone(), interval_ns }
     }
 }
 
@@ -96,7 +80,7 @@ impl<'a> View<'a> {
 
     /// How far the actual position is from `target`, and whether that is near enough.
     pub fn off(&self, target: f64) -> (f64, bool) {
-        let Rules { units, in_position, .. } = self.rules;
+        let AxisPlan { units, in_position, .. } = &self.rules.axis;
         let way = self.evidence.position - target;
         // Demand and actual position of an axis that turns without end may begin on the two sides of a wrap-around.
         let distance = if units.modulo.is_some() { units.unwrapped(way) } else { way };
