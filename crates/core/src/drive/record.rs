@@ -10,42 +10,32 @@ use crate::axis::units::way;
 use crate::axis::{Command, CommandId, Emergency, Feedback, Link, QueuedCommand, Shown, State, StopCause};
 use crate::named;
 
-/// The result of a drive's exchange in a cycle.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
-#[repr(u8)]
-pub enum Reply {
-    /// None was under way.
-    #[default]
-    None = 0,
-    /// Owed in a later window.
-    Owed = 1,
-    /// Answered.
-    Answered = 2,
-    /// Answered, but possibly by the reply to an earlier request.
-    Suspect = 3,
-    /// Not answered in time.
-    Missed = 4,
-    /// Refused by the operating system.
-    Unsent = 5,
-    /// Answered by the newest packet of a drive that sends by its own clock, without a round trip.
-    Current = 6,
-    /// Due, and waiting for its turn on a half-duplex wire.
-    Queued = 7,
+named! {
+    /// The result of a drive's exchange in a cycle.
+    #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+    #[repr(u8)]
+    pub enum Reply {
+        /// None was under way.
+        #[default]
+        None = 0: "not due",
+        /// Owed in a later window.
+        Owed = 1: "owed",
+        /// Answered.
+        Answered = 2: "answered",
+        /// Answered, but possibly by the reply to an earlier request.
+        Suspect = 3: "suspect",
+        /// Not answered in time.
+        Missed = 4: "missed",
+        /// Refused by the operating system.
+        Unsent = 5: "unsent",
+        /// Answered by the newest packet of a drive that sends by its own clock, without a round trip.
+        Current = 6: "current",
+        /// Due, and waiting for its turn on a half-duplex wire.
+        Queued = 7: "queued for its turn",
+    }
 }
 
 impl Reply {
-    /// All of them, in the order of their numbers.
-    pub const ALL: [Reply; 8] = [
-        Reply::None,
-        Reply::Owed,
-        Reply::Answered,
-        Reply::Suspect,
-        Reply::Missed,
-        Reply::Unsent,
-        Reply::Current,
-        Reply::Queued,
-    ];
-
     /// The exchange was missed, or not even sent.
     pub(super) fn is_missed(self) -> bool {
         matches!(self, Reply::Missed | Reply::Unsent)

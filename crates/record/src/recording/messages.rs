@@ -35,12 +35,7 @@ const COMMANDS: Names = Names {
     name: "Command",
     values: || std::iter::once("no command").chain(Command::NAMES.into_iter().skip(1)).collect(),
 };
-const EXCHANGES: Names = Names {
-    name: "Exchange",
-    values: || {
-        vec!["not due", "owed", "answered", "suspect", "missed", "unsent", "current", "queued for its turn"]
-    },
-};
+const EXCHANGES: Names = Names { name: "Exchange", values: || Reply::ALL.map(Reply::name).to_vec() };
 
 type Fields<T> = Vec<(Cow<'static, str>, Get<At<T>>)>;
 
@@ -375,5 +370,3 @@ pub fn late() -> Table<At<LateText>> {
         ],
     )
 }
-
-const _: () = assert!(Reply::ALL.len() == 8, "EXCHANGES names each of them");
