@@ -12,7 +12,7 @@ const INTEGRAL: f64 = PROPORTIONAL * PROPORTIONAL / 4.0;
 const MOST: u64 = 100;
 
 /// Locks a grid to a reference clock.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 pub struct PhaseLock {
     most_ns: f64,
     /// The step per slot that compensates the drift of the two clocks, ns.
@@ -24,7 +24,7 @@ pub struct PhaseLock {
 impl PhaseLock {
     /// For a grid of this period.
     pub fn new(period_ns: u64) -> PhaseLock {
-        PhaseLock { most_ns: (period_ns / MOST) as f64, drift_ns: 0.0, owed_ns: 0.0 }
+        PhaseLock { most_ns: (period_ns / MOST) as f64, ..PhaseLock::default() }
     }
 
     /// A slot came `error_ns` too late; returns the step of the next one, ns: positive steps make it later.

@@ -17,7 +17,7 @@ const ASTRAY: u32 = 3;
 const SILENT: u32 = 100;
 
 /// The clock that leads the grid.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct Reference {
     bus: usize,
     lock: PhaseLock,
@@ -41,11 +41,7 @@ impl Reference {
             lock: PhaseLock::new(period_ns),
             half_ns: (period_ns / 2) as i64,
             within_ns: (period_ns / 100).max(LEAST_WITHIN_NS),
-            settled: 0,
-            astray: 0,
-            silent: 0,
-            was_locked: false,
-            status: ReferenceStatus::default(),
+            ..Reference::default()
         }
     }
 

@@ -4,10 +4,11 @@ use crate::axis::{Health, Link};
 use crate::time::nanos;
 
 /// When the requests leave to a drive that does not answer.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Probes {
     /// One an interval. More of them to a dead address would fill the shared socket's send buffer, and starve the
     /// other drives.
+    #[default]
     Spaced,
     /// In each of its own slots: the frame that serves its bus leaves anyway.
     Carried,
@@ -17,7 +18,7 @@ pub enum Probes {
 }
 
 /// The link to one drive as the loop evaluates it: one cache line.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 #[repr(C, align(64))]
 pub struct LinkHealth {
     link: Link,
@@ -62,22 +63,18 @@ impl LinkHealth {
         let probe_every = nanos(rules.probe_interval).div_ceil(period_ns).max(1);
         let probe_every = u32::try_from(probe_every).unwrap_or(u32::MAX);
         LinkHealth {
-            link: Link::Unseen,
             each_slot: divisor <= 1 && phase == 0,
-            was_up: false,
             probes,
-            good: 0,
-            good_at: 0,
             leak: rules.leak,
             gate: rules.gate,
             bucket: rules.bucket,
-            level: 0,
             divisor: divisor.max(1),
             phase,
             next_probe: first_probe,
             probe_every,
             silence,
             lost_at: u32::MAX,
+            ..LinkHealth::default()
         }
     }
 

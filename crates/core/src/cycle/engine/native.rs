@@ -90,17 +90,13 @@ impl<C: Clock> Engine<C> {
     }
 }
 
-/// Puts records into the ring, `most` at most: they are built there if it has room for as many, and otherwise one after
-/// the other. Returns how many were lost.
+/// Puts records into the ring, `most` at most: they are built there. Returns how many were lost.
 #[inline]
-fn send(ring: &mut Producer<Record>, most: usize, records: impl Iterator<Item = Record>) -> u64 {
-    match ring.write_chunk_uninit(most) {
-        Ok(room) => {
-            room.fill_from_iter(records);
-            0
-        }
-        Err(_) => records.map(|record| u64::from(ring.push(record).is_err())).sum(),
+fn send(ring: &mut Producer<Record>, most: usize, mut records: impl Iterator<Item = Record>) -> u64 {
+    if let Ok(room) = ring.write_chunk_uninit(most.min(ring.slots())) {
+        room.fill_from_iter(records.by_ref());
     }
+    records.count() as u64
 }
 
 /// The records of one drive after the other.
