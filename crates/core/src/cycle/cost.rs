@@ -48,17 +48,9 @@ const COMFORT: u64 = 70;
 impl Default for Costs {
     /// Stated ones: from small virtual machines, rounded.
     fn default() -> Costs {
-        let exchange = |send_ns, receive_ns| Exchange { send_ns, receive_ns };
-        Costs {
-            measured: false,
-            exchanges: [
-                exchange(2_200, 1_800),
-                exchange(6_000, 3_000),
-                exchange(4_000, 2_000),
-                exchange(5_000, 5_000),
-            ],
-            drivers: Vec::new(),
-        }
+        let exchanges = [(2_200, 1_800), (6_000, 3_000), (4_000, 2_000), (5_000, 5_000)];
+        let exchanges = exchanges.map(|(send_ns, receive_ns)| Exchange { send_ns, receive_ns });
+        Costs { measured: false, exchanges, drivers: Vec::new() }
     }
 }
 

@@ -342,9 +342,7 @@ impl DriveController {
         }
         down
     }
-}
 
-impl DriveController {
     /// The buses begin to end their links.
     pub fn note_end(&mut self) {
         self.ending = Ending::Links { answers: self.answers() };
