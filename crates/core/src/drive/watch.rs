@@ -1,5 +1,5 @@
-//! The watch over one axis by the reports of its drive: which of them it can have reached, and what it does that it must
-//! not. Of every report that counts one sample is kept.
+//! The watch over one axis by the reports of its drive: which of them it can have reached, and what it does that it
+//! must not. Of every report that counts one sample is kept.
 //!
 //! - **Reach**: a place that lies farther from the last one than any motion of the axis leads proves nothing by itself.
 //!   On a wire without sequence numbers such a report is an old one that came once more; on any other a damaged one, or
@@ -16,8 +16,8 @@
 //!   demand of that time: the demand of the report, less the way at its velocity in the age of the position.
 //! - **Rest**: while the axis has power, nothing moves it that nobody commands, be it idle, holding, or latched. A late
 //!   duplicate of an old request, a parameter write, another master or the drive's own program can move a drive whose
-//!   commands have all ended. What is left of an ended motion only decays: a speed that rises again, or that lasts, is a
-//!   motion of its own.
+//! commands have all ended. What is left of an ended motion only decays: a speed that rises again, or that lasts, is a
+//! motion of its own.
 
 use crate::axis::{AxisPlan, DriveStatus, Unit, Units};
 use crate::bus::Slot;
@@ -234,8 +234,8 @@ struct Rules {
 }
 
 impl Watch {
-    /// The watch over the axis of `plan`, whose exchanges are `interval_ns` apart, whose actual positions are so many ns
-    /// behind the demand of their reports, and of which `proof` reports in a row prove a loss.
+    /// The watch over the axis of `plan`, whose exchanges are `interval_ns` apart, whose actual positions are so many
+    /// ns behind the demand of their reports, and of which `proof` reports in a row prove a loss.
     pub fn new(plan: &AxisPlan, interval_ns: u64, behind_ns: u64, proof: u8) -> Watch {
         let (pushed, fastest) = match plan.units.unit {
             Unit::Millimetre => (PUSHED_MM, FASTEST_MM),

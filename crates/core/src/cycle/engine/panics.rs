@@ -168,8 +168,8 @@ impl<C: Clock> Engine<C> {
         }
     }
 
-    /// The end of a loop that has found the wires taken, since a cycle of it did not end: it sends nothing more, receives
-    /// nothing, latches every axis and ends.
+    /// The end of a loop that has found the wires taken, since a cycle of it did not end: it sends nothing more,
+    /// receives nothing, latches every axis and ends.
     #[cold]
     pub(super) fn give_way(&mut self) -> Flow {
         // First, so that whoever has taken them knows that nothing follows.

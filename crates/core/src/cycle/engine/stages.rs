@@ -130,11 +130,14 @@ impl<C: Clock> Engine<C> {
     }
 
     /// The orderly end, once requested. True when it is complete.
+    #[inline]
     pub(super) fn end(&mut self, cycle: &Cycle, now: Time) -> bool {
         let requested = self.channels.requested();
-        if requested == RUN && self.ending.is_none() {
-            return false;
-        }
+        (requested != RUN || self.ending.is_some()) && self.end_on(cycle, now, requested)
+    }
+
+    #[cold]
+    fn end_on(&mut self, cycle: &Cycle, now: Time, requested: u8) -> bool {
         let (since, before) = *self.ending.get_or_insert((now, STOP));
         let hurry = requested == HURRY && before == STOP;
         self.ending = Some((since, requested));
@@ -218,6 +221,7 @@ impl<C: Clock> Engine<C> {
         }
     }
 
+    #[inline(always)] // In each cycle, also that of a single drive.
     pub(super) fn build(&mut self, next: &Cycle) {
         for (bus, open) in self.buses.iter_mut().enumerate() {
             let prepare = || open.work(&mut self.slots, |bus, slots| bus.prepare(next, slots));

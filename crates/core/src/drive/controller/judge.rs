@@ -326,8 +326,8 @@ impl DriveController {
         }
     }
 
-    /// A fresh report: takes it back out of the slot if it does not count. Returns by how much the axis has jumped. What
-    /// is as before does not take the way of the others, which saves 275 instructions a drive and cycle.
+    /// A fresh report: takes it back out of the slot if it does not count. Returns by how much the axis has jumped.
+    /// What is as before does not take the way of the others, which saves 275 instructions a drive and cycle.
     #[inline(always)] // Once for each axis and cycle; what is not usual takes the way around it.
     pub(super) fn weigh(&mut self, slot: &mut Slot) -> Option<f64> {
         let (status, before) = (&slot.status, &self.feedback.status);

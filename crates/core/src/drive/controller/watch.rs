@@ -27,8 +27,8 @@ impl DriveController {
         }
     }
 
-    /// Watches an axis that has power, and runs one cycle of its stop sequence. That a led axis has a way of its own saves
-    /// 68 instructions a drive and cycle.
+    /// Watches an axis that has power, and runs one cycle of its stop sequence. That a led axis has a way of its own
+    /// saves 68 instructions a drive and cycle.
     #[inline]
     pub(super) fn watch(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) {
         let restarted = slot.notices.fresh && std::mem::take(&mut slot.notices.restarted);
@@ -241,8 +241,8 @@ impl DriveController {
         self.duty.claim() == Claim::Armed || rising || self.duty.follows().is_free
     }
 
-    /// The stop of the axis, no softer than what was requested for the end of its motion, by the drive machine's command
-    /// or by one that was accepted and is about to begin.
+    /// The stop of the axis, no softer than what was requested for the end of its motion, by the drive machine's
+    /// command or by one that was accepted and is about to begin.
     fn requested_stop(&self) -> StopPlan {
         let accepted = self.queues.commands.iter().chain(&self.task_command);
         let accepted = accepted.filter(|queued| self.admit(queued).is_ok()).map(|queued| queued.command);

@@ -57,9 +57,9 @@ impl State {
         }
     }
 
-    /// Nothing has come to its end, and the drive is in operation as it is commanded: nothing is to be done. It depends on
-    /// each report, so it has no revision. It saves 137 instructions a drive and cycle of a LinMot that jogs, and 79 at a
-    /// velocity of the master.
+    /// Nothing has come to its end, and the drive is in operation as it is commanded: nothing is to be done. It depends
+    /// on each report, so it has no revision. It saves 137 instructions a drive and cycle of a LinMot that jogs, and 79
+    /// at a velocity of the master.
     #[inline]
     pub(super) fn is_undisturbed(&self, input: &Input, slot: &Slot) -> bool {
         let Slot { status, evidence, .. } = slot;
