@@ -9,7 +9,7 @@ use fieldbeat::bus::BusPlan;
 use fieldbeat::{Cycle, OpenError, Time};
 use fieldbeat_core::bus::counters::BusNumbers;
 use fieldbeat_core::bus::desired::{Desired, Intent, Mode, Motion, Power};
-use fieldbeat_core::bus::native::NativeData;
+use fieldbeat_core::bus::native::Inputs;
 use fieldbeat_core::bus::{Bus, Opened, Slot};
 use fieldbeat_core::net::Carriers;
 use fieldbeat_core::rt::Regions;
@@ -123,7 +123,8 @@ impl Bus for Proposing {
         fn waited_for(&self, cycle: &Cycle, slots: &[Slot]) -> usize;
         fn shut_down(&mut self, cycle: &Cycle, slots: &mut [Slot]) -> bool;
         fn numbers(&self) -> BusNumbers;
-        fn native(&self, index: usize) -> Option<NativeData<'_>>;
+        fn inputs(&self, index: usize) -> Option<&dyn Inputs>;
+        fn outputs(&self, index: usize) -> &[u8];
         fn helper_ended(&self) -> bool;
         fn lead(&mut self);
         fn phase_error(&mut self) -> Option<i64>;

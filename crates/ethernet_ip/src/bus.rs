@@ -11,7 +11,7 @@ use super::station::{ROOM, Station};
 use super::target::commanding;
 use super::wire::io::{Outgoing, Packet, PacketError};
 use fieldbeat_core::axis::acyclic;
-use fieldbeat_core::bus::native::NativeData;
+use fieldbeat_core::bus::native::Inputs;
 use fieldbeat_core::bus::{Bus, BusNumbers, Cycle, Ends, Notes, OpenError, Opened, Slot, Unmatched, drives};
 use fieldbeat_core::net::{
     self, Carriers, Datagrams, LinkNotes, Lock, Outbox, Sent, StreamPeer, Streams, UdpOptions,
@@ -232,9 +232,12 @@ impl Bus for EthernetIpBus {
         }
     }
 
-    fn native(&self, index: usize) -> Option<NativeData<'_>> {
-        let outputs = Outgoing::outputs(self.outbox.bytes(index)).unwrap_or_default();
-        Some((self.stations.get(index)?.native(), outputs))
+    fn inputs(&self, index: usize) -> Option<&dyn Inputs> {
+        self.stations.get(index).map(|station| station.native() as &dyn Inputs)
+    }
+
+    fn outputs(&self, index: usize) -> &[u8] {
+        Outgoing::outputs(self.outbox.bytes(index)).unwrap_or_default()
     }
 
     fn shut_down(&mut self, cycle: &Cycle, slots: &mut [Slot]) -> bool {

@@ -14,7 +14,7 @@ use super::station::{SerialNote, Station};
 use super::wire::{ErrorCode, REQUEST_MAX, RESPONSE_MAX, SHORTEST};
 use fieldbeat_core::axis::{AxisPlan, FoundRunning, PlanFault};
 use fieldbeat_core::bus::load::{Load, Medium, Way};
-use fieldbeat_core::bus::native::{NativeData, NativeLayout};
+use fieldbeat_core::bus::native::{Inputs, NativeLayout};
 use fieldbeat_core::bus::notes::NoteCells;
 use fieldbeat_core::bus::variant::Variant;
 use fieldbeat_core::bus::{
@@ -197,6 +197,14 @@ impl Bus for LinUdpBus {
         self.take_in(true, slots);
     }
 
+    fn waited_for(&self, cycle: &Cycle, slots: &[Slot]) -> usize {
+        let of = |slot: &Slot| {
+            let earlier = if slot.has_earlier { slot.earlier.waited_for(cycle) } else { 0 };
+            usize::from(slot.exchange.is_waited_for(cycle)) + earlier
+        };
+        slots.iter().map(of).sum()
+    }
+
     fn prepare(&mut self, cycle: &Cycle, slots: &mut [Slot]) {
         for (index, (station, slot)) in self.stations.iter_mut().zip(slots).enumerate() {
             if slot.due && !self.is_ending {
@@ -206,8 +214,12 @@ impl Bus for LinUdpBus {
         }
     }
 
-    fn native(&self, index: usize) -> Option<NativeData<'_>> {
-        Some((self.stations.get(index)?.native(), self.outbox.bytes(index)))
+    fn inputs(&self, index: usize) -> Option<&dyn Inputs> {
+        self.stations.get(index).map(|station| station.native() as &dyn Inputs)
+    }
+
+    fn outputs(&self, index: usize) -> &[u8] {
+        self.outbox.bytes(index)
     }
 
     fn shut_down(&mut self, _cycle: &Cycle, slots: &mut [Slot]) -> bool {

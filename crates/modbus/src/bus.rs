@@ -17,7 +17,7 @@ use super::trips::Trip;
 use fieldbeat_core::axis::feedback::MONITOR_CHANNELS;
 use fieldbeat_core::axis::{AxisPlan, FoundRunning, PlanFault};
 use fieldbeat_core::bus::load::{Load, Medium, Way};
-use fieldbeat_core::bus::native::{NativeData, NativeLayout};
+use fieldbeat_core::bus::native::{Inputs, NativeLayout};
 use fieldbeat_core::bus::variant::Variant;
 use fieldbeat_core::bus::{
     Bus, BusFacts, BusNumbers, BusPlan, Cycle, DriveFacts, Ends, Exchange, Grid, Notes, OpenError, Opened,
@@ -218,9 +218,12 @@ impl Bus for ModbusBus {
         }
     }
 
-    fn native(&self, index: usize) -> Option<NativeData<'_>> {
-        let station = self.stations.get(index)?;
-        Some((station, station.sent_request()))
+    fn inputs(&self, index: usize) -> Option<&dyn Inputs> {
+        self.stations.get(index).map(|station| station as &dyn Inputs)
+    }
+
+    fn outputs(&self, index: usize) -> &[u8] {
+        self.stations.get(index).map_or(&[], Station::sent_request)
     }
 
     fn shut_down(&mut self, cycle: &Cycle, slots: &mut [Slot]) -> bool {

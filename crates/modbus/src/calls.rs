@@ -102,6 +102,7 @@ impl Calls {
         (self.active.is_some() || !self.calls.is_empty()) && self.go_on(now, link, on)
     }
 
+    #[inline(never)]
     fn go_on(&mut self, now: Time, link: Link, on: bool) -> bool {
         let online = !matches!(link, Link::Unseen | Link::Lost);
         if !online {
@@ -175,7 +176,8 @@ impl Calls {
     /// A call of the application that commands the drive is under way.
     #[inline]
     pub(super) fn commands(&self) -> bool {
-        self.calls.is_unsettled() || self.active.is_some_and(|active| self.calls.commands(&active.posted))
+        self.calls.is_unsettled()
+            || self.active.as_ref().is_some_and(|active| self.calls.commands(&active.posted))
     }
 
     /// Whether this response can be that of the call that was sent.

@@ -20,7 +20,7 @@ use super::notes::{Known, WireNotes};
 use super::other::Others;
 use super::plan::{LenzeDrive, ProfibusPlan};
 use super::station::Station;
-use fieldbeat_core::bus::native::NativeData;
+use fieldbeat_core::bus::native::Inputs;
 use fieldbeat_core::bus::{Bus, BusNumbers, Cycle, Ends, Exchange, OpenError, Opened, Slot, Unmatched};
 use fieldbeat_core::net::{Broken, Carriers, Lock, Place, Serial};
 use fieldbeat_core::rt::Regions;
@@ -211,7 +211,7 @@ impl Bus for ProfibusBus {
 
     fn waited_for(&self, cycle: &Cycle, slots: &[Slot]) -> usize {
         let waits = self.line.waits_for().and_then(|index| slots.get(usize::from(index)));
-        waits.map_or(0, |slot| slot.waited_for(cycle))
+        usize::from(waits.is_some_and(|slot| slot.exchange.is_waited_for(cycle)))
     }
 
     fn poll(&mut self, cycle: &Cycle, now: Time, slots: &mut [Slot]) {
@@ -227,9 +227,12 @@ impl Bus for ProfibusBus {
         }
     }
 
-    fn native(&self, index: usize) -> Option<NativeData<'_>> {
-        let station = self.stations.get(index)?;
-        Some((station.native(), station.sent_outputs()))
+    fn inputs(&self, index: usize) -> Option<&dyn Inputs> {
+        self.stations.get(index).map(|station| station.native() as &dyn Inputs)
+    }
+
+    fn outputs(&self, index: usize) -> &[u8] {
+        self.stations.get(index).map_or(&[], Station::sent_outputs)
     }
 
     fn shut_down(&mut self, cycle: &Cycle, slots: &mut [Slot]) -> bool {

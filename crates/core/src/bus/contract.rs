@@ -10,7 +10,7 @@ use std::sync::Arc;
 use super::counters::{BusNumbers, Counters, OWN_COUNTERS};
 use super::desired::{Desired, Evidence, Gone};
 use super::drives::Ends;
-use super::native::NativeData;
+use super::native::Inputs;
 use crate::axis::{DriveStatus, Emergency, Link};
 use crate::net::LinkNotes;
 use crate::rt::Regions;
@@ -86,10 +86,10 @@ pub trait Bus: Send {
     /// later than `now`, or none.
     fn poll(&mut self, _cycle: &Cycle, _now: Time, _slots: &mut [Slot]) {}
 
-    /// For how many exchanges the window of `cycle` [waits](Slot::waited_for). One that knows which it is need not look
-    /// at all slots: on a half-duplex wire this is queried after each telegram.
+    /// For how many exchanges the window of `cycle` [waits](Exchange::is_waited_for). One that knows which it is need
+    /// not look at all slots: on a half-duplex wire this is queried after each telegram.
     fn waited_for(&self, cycle: &Cycle, slots: &[Slot]) -> usize {
-        slots.iter().map(|slot| slot.waited_for(cycle)).sum()
+        slots.iter().filter(|slot| slot.exchange.is_waited_for(cycle)).count()
     }
 
     /// Builds the requests of the slots that are due at the next send, and of those that are queued, in place, from
@@ -105,10 +105,15 @@ pub trait Bus: Send {
     /// What it counts of itself, and the state of its clock. Queried now and then.
     fn numbers(&self) -> BusNumbers;
 
-    /// The native process data of drive `index`; `None`: it has none. The outputs are those that the request which left
-    /// last has carried to it: they are there in the cycle in which it left, before the next one is prepared.
-    fn native(&self, _index: usize) -> Option<NativeData<'_>> {
+    /// The newest native inputs of drive `index`; `None`: it has none.
+    fn inputs(&self, _index: usize) -> Option<&dyn Inputs> {
         None
+    }
+
+    /// What the request that left last has carried to drive `index`: it is there in the cycle in which that left, before
+    /// the next one is prepared.
+    fn outputs(&self, _index: usize) -> &[u8] {
+        &[]
     }
 
     /// The thread outside of the loop that this bus depends on has ended unexpectedly: its axes are stopped. Queried
@@ -268,13 +273,6 @@ pub struct Slot {
 }
 
 impl Slot {
-    /// For how many of its exchanges the window of `cycle` [waits](Exchange::is_waited_for).
-    #[inline]
-    pub fn waited_for(&self, cycle: &Cycle) -> usize {
-        let earlier = if self.has_earlier { self.earlier.waited_for(cycle) } else { 0 };
-        usize::from(self.exchange.is_waited_for(cycle)) + earlier
-    }
-
     /// Opens the exchange of a request that was sent.
     #[inline]
     pub fn owe(&mut self, sent_at: Time, reply_by: Time, awaited: bool) {

@@ -32,9 +32,6 @@ pub enum WantedOutputs {
     Always,
 }
 
-/// The newest native inputs of a drive, and the outputs that left last.
-pub type NativeData<'a> = (&'a dyn Inputs, &'a [u8]);
-
 /// The newest native inputs of a drive.
 pub trait Inputs {
     /// Appends them as they were received, if they were taken in after `since`. Returns when they were.
@@ -105,21 +102,12 @@ impl NativeBytes {
         }
     }
 
-    /// Replaces them by the inputs of a drive, if these were taken in after `since`, and its outputs, if they are of
-    /// interest. Returns when the inputs were taken in.
+    /// Replaces them by the newest inputs, if these were taken in after `since`. Returns when they were.
     #[inline]
-    pub fn take(
-        &mut self,
-        (inputs, outputs): NativeData<'_>,
-        since: Time,
-        wanted: WantedOutputs,
-    ) -> Option<Time> {
+    pub fn take(&mut self, inputs: &dyn Inputs, since: Time) -> Option<Time> {
         self.clear();
         let received_at = inputs.put(since, self);
         self.inputs = self.length;
-        if wanted.is_now(received_at) {
-            self.put(outputs);
-        }
         received_at
     }
 }
@@ -222,8 +210,11 @@ mod tests {
             (WantedOutputs::WithInputs, Time(0), (2, vec![1, 2, 3, 4, 5])),
             (WantedOutputs::Always, Time(1), (0, vec![3, 4, 5])),
         ] {
-            let received_at = all.take((&Two, &[3, 4, 5]), since, wanted);
+            let received_at = all.take(&Two, since);
             assert_eq!(received_at.is_some(), since < Time(1));
+            if wanted.is_now(received_at) {
+                all.put(&[3, 4, 5]);
+            }
             let bytes = all.part::<8>(0).unwrap()[..all.length()].to_vec();
             assert_eq!((all.inputs(), bytes), expected, "{wanted:?}");
         }

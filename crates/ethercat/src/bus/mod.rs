@@ -32,7 +32,7 @@ use super::wire::frame::{FRAME_MAX, PASSED};
 use fieldbeat_core::axis::acyclic::{self, Commanding};
 use fieldbeat_core::axis::cell;
 use fieldbeat_core::axis::{Feedback, Observer};
-use fieldbeat_core::bus::native::NativeData;
+use fieldbeat_core::bus::native::Inputs;
 use fieldbeat_core::bus::notes::NoteCells;
 use fieldbeat_core::bus::{
     Bus, BusNumbers, Cycle, DeviceEnds, Ends, Exchange, OpenError, Opened, Slot, Unmatched,
@@ -266,10 +266,13 @@ impl Bus for EthercatBus {
         }
     }
 
-    fn native(&self, index: usize) -> Option<NativeData<'_>> {
-        let Outgoing { frame, range, .. } = self.outgoing.get(index)?;
-        let outputs = self.image.frames().get(usize::from(*frame))?.sent_outputs(range);
-        Some((self.drives.get(index)?.station.profile.native(), outputs))
+    fn inputs(&self, index: usize) -> Option<&dyn Inputs> {
+        self.drives.get(index).map(|drive| drive.station.profile.native() as &dyn Inputs)
+    }
+
+    fn outputs(&self, index: usize) -> &[u8] {
+        let Some(Outgoing { frame, range, .. }) = self.outgoing.get(index) else { return &[] };
+        self.image.frames().get(usize::from(*frame)).map_or(&[], |frame| frame.sent_outputs(range))
     }
 
     fn shut_down(&mut self, cycle: &Cycle, slots: &mut [Slot]) -> bool {

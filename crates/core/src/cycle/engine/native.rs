@@ -132,12 +132,13 @@ impl Parts<'_> {
                 Moment::Received => WantedOutputs::Always,
             };
             open.is_at_work = true;
-            let data = open.bus.native(chosen.index);
-            let received_at = data.and_then(|data| bytes.take(data, chosen.received_at, outputs));
-            open.is_at_work = false;
+            let inputs = open.bus.inputs(chosen.index);
+            let received_at = inputs.and_then(|inputs| bytes.take(inputs, chosen.received_at));
             if outputs.is_now(received_at) {
+                bytes.put(open.bus.outputs(chosen.index));
                 chosen.sent_at = sent_at;
             }
+            open.is_at_work = false;
             next.received_ns = 0;
             if let Some(at) = received_at {
                 chosen.received_at = at;
