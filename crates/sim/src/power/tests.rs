@@ -2,10 +2,6 @@ use super::*;
 use fieldbeat_core::time::MS;
 
 fn motor() -> PowerDrive<u16> {
-    of(None)
-}
-
-fn of(scan_ns: Option<u64>) -> PowerDrive<u16> {
     let plant = PlantPlan {
         mass_kg: 0.002,
         range: (f64::NEG_INFINITY, f64::INFINITY),
@@ -15,7 +11,7 @@ fn of(scan_ns: Option<u64>) -> PowerDrive<u16> {
         peak_force_n: 15.0,
         friction_n: 0.1,
     };
-    PowerDrive::new(PowerPlan { plant, max_speed: 6_000.0 * RPM, hardware_enable: true, scan_ns })
+    PowerDrive::new(PowerPlan { plant, max_speed: 6_000.0 * RPM, hardware_enable: true, scan_ns: None })
 }
 
 /// Lets so many milliseconds pass.
@@ -26,13 +22,13 @@ fn run(motor: &mut PowerDrive<u16>, aim: Aim, ms: u64) {
 #[test]
 fn it_comes_up_to_speed_with_its_ramp_and_down_with_the_other() {
     let mut motor = motor();
-    let up = Aim::Velocity { speed: 100.0, up: 1_000.0, down: 500.0 };
+    let [up, down] = [100.0, 0.0].map(|speed| Aim::Velocity { speed, up: 1_000.0, down: 500.0 });
     run(&mut motor, up, 50);
     assert!((motor.speed() - 50.0).abs() < 2.0, "{}", motor.speed());
     run(&mut motor, up, 200);
     assert!((motor.speed() - 100.0).abs() < 0.1);
-    run(&mut motor, Aim::Velocity { speed: 0.0, up: 1_000.0, down: 500.0 }, 100);
+    run(&mut motor, down, 100);
     assert!((motor.speed() - 50.0).abs() < 2.0, "{}", motor.speed());
-    run(&mut motor, Aim::Velocity { speed: 0.0, up: 1_000.0, down: 500.0 }, 300);
+    run(&mut motor, down, 300);
     assert!(motor.is_standing());
 }

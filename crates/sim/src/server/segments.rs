@@ -125,8 +125,12 @@ mod tests {
         format!("{}server-{what}-{}", local::PREFIX, std::process::id())
     }
 
-    fn start(name: &str, faults: FaultPlan) -> io::Result<SimServer> {
-        let segments: Vec<Box<dyn SimSegment>> = vec![Box::new(Tally::new(name, faults))];
+    fn start(name: &str) -> io::Result<SimServer> {
+        serve(Tally::new(name, FaultPlan::default()))
+    }
+
+    fn serve(segment: Tally) -> io::Result<SimServer> {
+        let segments: Vec<Box<dyn SimSegment>> = vec![Box::new(segment)];
         SimServer::start(Simulated { segments, ..Simulated::default() }, ServerOptions::default())
     }
 
@@ -147,7 +151,7 @@ mod tests {
     #[test]
     fn a_line_answers_each_frame_and_counts() {
         let name = name("answers");
-        let mut server = start(&name, FaultPlan::default()).unwrap();
+        let mut server = start(&name).unwrap();
         let mut master = Os::default().frames(&name, Tally::TYPE).unwrap();
         for number in 0..20 {
             master.send(&[number, 0, 9]).unwrap();
@@ -175,11 +179,7 @@ mod tests {
             let done = std::process::Command::new("ip").args(arguments.split(' ')).status().unwrap();
             assert!(done.success(), "ip {arguments}");
         }
-        let segment = Tally::new("near0", FaultPlan::default()).at("far0");
-        let segments: Vec<Box<dyn SimSegment>> = vec![Box::new(segment)];
-        let mut server =
-            SimServer::start(Simulated { segments, ..Simulated::default() }, ServerOptions::default())
-                .unwrap();
+        let mut server = serve(Tally::new("near0", FaultPlan::default()).at("far0")).unwrap();
         let mut master = Os::default().frames("near0", Tally::TYPE).unwrap();
         let mut frame = [0xFF; 29];
         frame[12..14].copy_from_slice(&Tally::TYPE.to_be_bytes());
@@ -197,13 +197,13 @@ mod tests {
     #[test]
     fn a_segment_that_is_served_already_or_has_no_other_end_is_refused() {
         let name = name("twice");
-        let first = start(&name, FaultPlan::default()).unwrap();
-        let error = start(&name, FaultPlan::default()).unwrap_err();
+        let first = start(&name).unwrap();
+        let error = start(&name).unwrap_err();
         assert_eq!(error.kind(), io::ErrorKind::AddrInUse);
         assert!(error.to_string().contains("another simulation serves it"), "{error}");
         drop(first);
-        assert!(start(&name, FaultPlan::default()).is_ok());
-        let error = start("eth9", FaultPlan::default()).unwrap_err();
+        assert!(start(&name).is_ok());
+        let error = start("eth9").unwrap_err();
         assert!(error.to_string().contains("the other end of its cable"), "{error}");
     }
 }

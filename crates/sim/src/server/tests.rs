@@ -70,7 +70,7 @@ fn line(x: u8, faults: FaultPlan) -> Line {
     Line { most: 4, ..Line::new(address(x, 10), faults) }
 }
 
-fn serve(drive: Line) -> SimServer {
+fn serve(drive: impl SimDrive + 'static) -> SimServer {
     SimServer::start(vec![Box::new(drive) as Box<dyn SimDrive>], ServerOptions::default()).unwrap()
 }
 

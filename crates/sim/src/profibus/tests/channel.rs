@@ -4,9 +4,7 @@ use super::*;
 
 /// In Data_Exchange with such a channel.
 fn bench(channel: Channel) -> Bench {
-    let mut bench = Bench::with(|settings| (settings.channel, settings.job_ns) = (channel, 20 * MS));
-    bench.up();
-    bench
+    Bench::online(|settings| (settings.channel, settings.job_ns) = (channel, 20 * MS))
 }
 
 fn job(bench: &mut Bench, job: [u8; 8]) -> [u8; 8] {

@@ -5,16 +5,6 @@ use fieldbeat_profibus::DriveProfile;
 
 const STATES: u16 = 0x6F;
 
-fn up(change: impl FnOnce(&mut LenzeSettings)) -> Bench {
-    let mut bench = Bench::with(change);
-    bench.up();
-    bench
-}
-
-fn profidrive() -> Bench {
-    up(|settings| settings.power.profile = DriveProfile::Profidrive)
-}
-
 #[test]
 fn stops_take_their_ramps_and_coasting_takes_the_friction() {
     for (word, after_50ms, end) in [
@@ -28,7 +18,7 @@ fn stops_take_their_ramps_and_coasting_takes_the_friction() {
         (0x5F, 740.0..760.0, State::OperationEnabled),
         (0x3F, 570.0..620.0, State::OperationEnabled),
     ] {
-        let mut bench = up(|_| ());
+        let mut bench = Bench::online(|_| ());
         bench.enable();
         bench.hold(600 * MS, 0x7F, 0x2000);
         assert!((bench.rpm() - 750.0).abs() < 1.0);
@@ -41,13 +31,13 @@ fn stops_take_their_ramps_and_coasting_takes_the_friction() {
         assert_eq!(bench.slave().axis_state(), end, "{word:X}");
     }
     // A ramp of 0.5 s to 1500 rpm: half of it after 250 ms.
-    let mut bench = up(|_| ());
+    let mut bench = Bench::online(|_| ());
     bench.enable();
     bench.hold(250 * MS, 0x7F, 0x4000);
     let half = bench.rpm();
     assert!((700.0..850.0).contains(&half), "{half}");
     // Where the bits are ignored it runs without them.
-    let mut bench = up(|settings| settings.power.ramp_bits = false);
+    let mut bench = Bench::online(|settings| settings.power.ramp_bits = false);
     bench.enable();
     bench.hold(600 * MS, 0x0F, -0x2000);
     assert!((bench.rpm() + 750.0).abs() < 1.0);
@@ -55,7 +45,7 @@ fn stops_take_their_ramps_and_coasting_takes_the_friction() {
 
 #[test]
 fn the_open_hardware_enable_takes_the_power_and_is_shown() {
-    let mut bench = up(|_| ());
+    let mut bench = Bench::online(|_| ());
     bench.enable();
     bench.hold(200 * MS, 0x7F, 0x1000);
     bench.medium.open_sto(0, bench.now + 300 * MS);
@@ -67,7 +57,7 @@ fn the_open_hardware_enable_takes_the_power_and_is_shown() {
     assert_eq!(status & 0x7F & !0x40, 0x21, "{status:04X}");
     bench.hold(300 * MS, 0x07, 0);
     assert_eq!(bench.words(0x07, 0).0 & 0x7F, 0x33);
-    let mut open = up(|settings| {
+    let mut open = Bench::online(|settings| {
         settings.motor.hardware_enable = false;
         settings.power.enable_bit = Some((12, false));
     });
@@ -78,7 +68,7 @@ fn the_open_hardware_enable_takes_the_power_and_is_shown() {
 #[test]
 fn a_fault_stays_until_a_rising_edge_resets_it() {
     for brakes in [false, true] {
-        let mut bench = up(|settings| settings.power.brakes_on_fault = brakes);
+        let mut bench = Bench::online(|settings| settings.power.brakes_on_fault = brakes);
         bench.enable();
         bench.hold(600 * MS, 0x7F, 0x2000);
         bench.slave().provoke(0x2310);
@@ -94,12 +84,12 @@ fn a_fault_stays_until_a_rising_edge_resets_it() {
         assert_eq!(bench.words(0x80, 0).0 & 0x4F, 0x40);
         assert_eq!(bench.words(0x06, 0).0 & STATES, 0x21);
     }
-    let mut bench = up(|settings| settings.power.persistent_fault = Some(0x4210));
+    let mut bench = Bench::online(|settings| settings.power.persistent_fault = Some(0x4210));
     for word in [0x80, 0, 0x80, 0] {
         assert_eq!(bench.words(word, 0).0 & 0x4F, 0x08);
     }
     // The bit in the first word is no edge.
-    let mut bench = up(|_| ());
+    let mut bench = Bench::online(|_| ());
     bench.slave().provoke(1);
     assert_eq!((bench.words(0x80, 0).0 & 0x4F, bench.words(0x80, 0).0 & 0x4F), (8, 8));
     bench.words(0, 0);
@@ -126,7 +116,7 @@ fn further_words_are_where_they_are_set_up() {
 
 #[test]
 fn profidrive_has_its_own_words_and_ignores_them_without_bit_10() {
-    let mut bench = profidrive();
+    let mut bench = Bench::online(|settings| settings.power.profile = DriveProfile::Profidrive);
     assert_eq!(bench.words(0x0400, 0).0 & 0x7F, 0x40);
     assert_eq!(bench.words(0x047E, 0).0 & 0x7F, 0x31);
     // Bit 3 is set already: both steps in turn.

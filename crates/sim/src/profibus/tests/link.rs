@@ -72,8 +72,7 @@ fn damaged_telegrams_are_ignored_each_with_its_count() {
 
 #[test]
 fn a_repeated_frame_count_bit_is_answered_from_memory_and_its_data_are_ignored() {
-    let mut bench = Bench::with(|_| ());
-    bench.up();
+    let mut bench = Bench::online(|_| ());
     bench.enable();
     // The first try reaches the slave, its answer is lost; the second one wants another speed.
     let data = |set_point: [u8; 2]| [&[0; 8][..], &[0, 0x7F], &set_point].concat();
@@ -160,8 +159,7 @@ fn who_speaks_into_an_answer_is_counted_and_both_are_lost() {
 
 #[test]
 fn it_is_silent_without_power_and_knows_nothing_afterwards() {
-    let mut bench = Bench::with(|_| ());
-    bench.up();
+    let mut bench = Bench::online(|_| ());
     bench.medium.restart(bench.now, 0);
     bench.wait(400 * MS);
     assert_eq!(bench.ask(&STATUS), None);

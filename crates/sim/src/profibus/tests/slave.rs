@@ -102,8 +102,7 @@ fn a_fault_of_parameters_or_configuration_is_gone_with_right_ones() {
 
 #[test]
 fn another_master_is_locked_out_until_the_first_one_unlocks() {
-    let mut bench = Bench::with(|_| ());
-    bench.up();
+    let mut bench = Bench::online(|_| ());
     let own = bench.master((3, None));
     assert_eq!(bench.diagnose(), [0x80, 0x0C, 0, MASTER, 0, 0x82]);
     assert_eq!((bench.set_prm(&PRM), bench.chk_cfg(&[0xF3, 0xF1])), (3, 3));
@@ -118,9 +117,9 @@ fn another_master_is_locked_out_until_the_first_one_unlocks() {
     assert_eq!(bench.set_prm(&unlock), 0xE5);
     assert_eq!(bench.diagnose(), [2, 5, 0, 255, 0, 0x82]);
     bench.master(other);
-    bench.up_as(2);
-    let mut quiet = Bench::with(|settings| settings.dp.shows_lock = false);
-    quiet.up();
+    bench.configured(&PRM, &[0xF3, 0xF1]);
+    assert_eq!((bench.diagnose()[3], bench.slave().events().parametrised), (3, 2));
+    let mut quiet = Bench::online(|settings| settings.dp.shows_lock = false);
     quiet.master((3, None));
     assert_eq!(quiet.diagnose()[0], 0);
 }
@@ -161,8 +160,7 @@ fn what_safe_outputs_do_is_a_setting() {
         (Safe::QuickStop, State::QuickStopActive, 100.0..300.0),
         (Safe::Fault, State::Fault, 300.0..375.0),
     ] {
-        let mut bench = Bench::with(|settings| settings.dp.safe = safe);
-        bench.up();
+        let mut bench = Bench::online(|settings| settings.dp.safe = safe);
         bench.enable();
         bench.hold(300 * MS, 0x7F, 0x1000);
         bench.control(2, 0);

@@ -8,10 +8,6 @@ fn ip(x: u8, host: u8) -> Ipv4Addr {
     Ipv4Addr::new(127, 72, x, host)
 }
 
-fn start(drive: Producer) -> SimServer {
-    SimServer::start(vec![Box::new(drive) as Box<dyn SimDrive>], ServerOptions::default()).unwrap()
-}
-
 /// The master's socket, and its connection from the same address.
 fn master(x: u8) -> (UdpSocket, TcpStream) {
     let packets = UdpSocket::bind(Producer::packets(ip(x, 1))).unwrap();
@@ -37,7 +33,7 @@ fn open(stream: &mut TcpStream) {
 
 #[test]
 fn a_drive_speaks_by_itself_and_takes_what_it_is_fed() {
-    let server = start(Producer::new(ip(20, 10)).patient());
+    let server = serve(Producer::new(ip(20, 10)).patient());
     let (packets, mut stream) = master(20);
     open(&mut stream);
     let mut byte = [0];
@@ -68,7 +64,7 @@ fn a_drive_speaks_by_itself_and_takes_what_it_is_fed() {
 
 #[test]
 fn one_that_is_not_fed_is_silent_and_ends_its_connection_by_itself() {
-    let server = start(Producer::new(ip(24, 10)));
+    let server = serve(Producer::new(ip(24, 10)));
     let (packets, mut stream) = master(24);
     open(&mut stream);
     assert_eq!(stream.read(&mut [0]).unwrap(), 0);
@@ -84,7 +80,7 @@ fn one_that_is_not_fed_is_silent_and_ends_its_connection_by_itself() {
 #[test]
 fn hundreds_of_starts_and_ends_of_a_speaking_drive_do_not_hang() {
     for round in 0..300 {
-        let server = start(Producer::new(ip(23, 10)));
+        let server = serve(Producer::new(ip(23, 10)));
         let (_packets, mut stream) = master(23);
         stream.write_all(b"O").unwrap();
         if round % 2 == 0 {

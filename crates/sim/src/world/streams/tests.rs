@@ -20,7 +20,6 @@ fn drive(n: u8) -> SocketAddrV4 {
 /// start, and `padding` bytes; ends the connection behind the answer to anything else.
 pub(crate) struct Line {
     pub(crate) address: SocketAddrV4,
-    pub(crate) carrier: Carrier,
     pub(crate) faults: FaultPlan,
     pub(crate) most: usize,
     pub(crate) padding: usize,
@@ -31,8 +30,7 @@ pub(crate) struct Line {
 
 impl Line {
     pub(crate) fn new(address: SocketAddrV4, faults: FaultPlan) -> Line {
-        let (carrier, peers) = (Carrier::Stream, Peers::default());
-        Line { address, carrier, faults, most: 2, padding: 0, answered: 0, lost: false, peers }
+        Line { address, faults, most: 2, padding: 0, answered: 0, lost: false, peers: Peers::default() }
     }
 }
 
@@ -46,7 +44,7 @@ impl SimDrive for Line {
     }
 
     fn carrier(&self) -> Carrier {
-        self.carrier
+        Carrier::Stream
     }
 
     fn receive(
@@ -122,26 +120,26 @@ struct Rig {
     broken: Vec<(usize, Broken)>,
 }
 
-fn lines(count: u8, faults: &FaultPlan) -> Vec<Line> {
-    let seeded = |n| FaultPlan { seed: faults.seed + u64::from(n), ..faults.clone() };
-    (0..count).map(|n| Line::new(drive(n), seeded(n))).collect()
-}
-
 impl Rig {
-    fn new(count: u8, faults: FaultPlan) -> Rig {
-        Rig::of(lines(count, &faults), WorldOptions { read_ns: 0, ..WorldOptions::default() })
-    }
-
-    fn of(lines: Vec<Line>, options: WorldOptions) -> Rig {
+    fn new(count: u8, faults: &FaultPlan) -> Rig {
+        let seeded = |n| FaultPlan { seed: faults.seed + u64::from(n), ..faults.clone() };
+        let lines: Vec<_> = (0..count).map(|n| Line::new(drive(n), seeded(n))).collect();
         let peers: Vec<_> = lines.iter().map(|line| line.peers.clone()).collect();
         let addresses: Vec<_> = lines.iter().map(|line| line.address).collect();
         let drives = lines.into_iter().map(|line| Box::new(line) as Box<dyn SimDrive>).collect::<Vec<_>>();
-        let world = World::new(drives, options).unwrap();
+        let world = World::new(drives, WorldOptions { read_ns: 0, ..WorldOptions::default() }).unwrap();
         let ask = |address: &SocketAddrV4| StreamPeer::new(*address, Box::new(Ask(Vec::new())));
         let carrier = world.streams(addresses.iter().map(ask).collect()).unwrap();
         let count = peers.len();
         let (received, open) = (vec![Vec::new(); count], vec![false; count]);
         Rig { world, carrier, peers, received, open, broken: Vec::new() }
+    }
+
+    /// With all connections open.
+    fn open(count: u8) -> Rig {
+        let mut rig = Rig::new(count, &FaultPlan::default());
+        (0..count.into()).for_each(|index| _ = rig.opened(index));
+        rig
     }
 
     /// Takes in what has arrived, as a bus does.
@@ -197,8 +195,7 @@ impl Rig {
 
 #[test]
 fn a_connection_is_opened_with_its_handshake_and_handed_over_and_takes_its_latencies() {
-    let faults = FaultPlan { answer_ns: 100 * US, ..FaultPlan::default() };
-    let mut rig = Rig::new(1, faults);
+    let mut rig = Rig::new(1, &FaultPlan { answer_ns: 100 * US, ..FaultPlan::default() });
     assert_eq!(rig.request(0, 1), Err(Broken::Absent));
     let knock = rig.world.lock().next_due().unwrap();
     rig.world.advance(knock.since(rig.world.now()) + 4 * LATENCY + 100 * US - 1);
@@ -222,8 +219,7 @@ fn a_connection_is_opened_with_its_handshake_and_handed_over_and_takes_its_laten
 
 #[test]
 fn a_cut_ends_the_connection_in_the_middle_of_a_reply_and_a_drive_that_hangs_up_behind_it() {
-    let mut rig = Rig::new(1, FaultPlan::default());
-    rig.opened(0);
+    let mut rig = Rig::open(1);
     assert!(rig.world.set_faults(drive(0), FaultPlan { cut: 1.0, ..FaultPlan::default() }));
     rig.request(0, 9).unwrap();
     rig.pass(MS);
@@ -244,9 +240,7 @@ fn a_cut_ends_the_connection_in_the_middle_of_a_reply_and_a_drive_that_hangs_up_
 
 #[test]
 fn a_restart_breaks_connections_off_and_they_come_back() {
-    let mut rig = Rig::new(2, FaultPlan::default());
-    rig.opened(0);
-    rig.opened(1);
+    let mut rig = Rig::open(2);
     rig.request(0, 1).unwrap();
     assert!(rig.world.restart(drive(0)));
     rig.pass(MS);
@@ -267,9 +261,7 @@ fn a_restart_breaks_connections_off_and_they_come_back() {
 
 #[test]
 fn a_carrier_that_is_dropped_leaves_no_connection_and_no_alarm() {
-    let mut rig = Rig::new(2, FaultPlan::default());
-    rig.opened(0);
-    rig.opened(1);
+    let mut rig = Rig::open(2);
     let ask = StreamPeer::new(drive(0), Box::new(Ask(Vec::new())));
     let second = rig.world.streams(vec![ask]).unwrap();
     rig.pass(S);

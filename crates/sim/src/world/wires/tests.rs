@@ -12,21 +12,11 @@ use fieldbeat_core::time::{MS, S, US};
 const PORT: &str = "/dev/ttyUSB0";
 const BYTE: u64 = 22 * US;
 
-fn wire(port: &str) -> SerialWire {
-    wire_at(port, &[7, 9])
-}
-
 fn world(faults: &FaultPlan) -> World {
-    let wire = |port| SerialWire { faults: faults.clone(), ..wire(port) };
-    world_of(vec![wire(PORT), wire("/dev/ttyUSB1")])
-}
-
-fn world_of(wires: Vec<SerialWire>) -> World {
-    World::new(
-        Simulated { wires, ..Simulated::default() },
-        WorldOptions { read_ns: 0, ..WorldOptions::default() },
-    )
-    .unwrap()
+    let wires =
+        [PORT, "/dev/ttyUSB1"].map(|port| SerialWire { faults: faults.clone(), ..wire_at(port, &[7, 9]) });
+    let simulated = Simulated { wires: wires.into(), ..Simulated::default() };
+    World::new(simulated, WorldOptions { read_ns: 0, ..WorldOptions::default() }).unwrap()
 }
 
 fn open(world: &World) -> Box<dyn Serial> {

@@ -4,8 +4,7 @@ use super::*;
 
 #[test]
 fn a_lost_segment_comes_after_the_hosts_timeout_and_what_follows_waits_behind_it() {
-    let mut rig = Rig::new(1, FaultPlan::default());
-    rig.opened(0);
+    let mut rig = Rig::open(1);
     let lossy = |segment_loss| FaultPlan { segment_loss, ..FaultPlan::default() };
     // The request is lost once, the seed says.
     let seed = (0..).find(|seed| {
@@ -37,8 +36,7 @@ fn a_lost_segment_comes_after_the_hosts_timeout_and_what_follows_waits_behind_it
 
 #[test]
 fn a_segment_lost_again_and_again_comes_after_doubled_timeouts_unless_its_connection_is_closed() {
-    let mut rig = Rig::new(1, FaultPlan::default());
-    rig.opened(0);
+    let mut rig = Rig::open(1);
     let all = FaultPlan { segment_loss: 1.0, ..FaultPlan::default() };
     assert!(rig.world.set_faults(drive(0), all));
     rig.request(0, 1).unwrap();
@@ -58,8 +56,7 @@ fn a_segment_lost_again_and_again_comes_after_doubled_timeouts_unless_its_connec
 
 #[test]
 fn a_short_loss_of_the_plug_loses_no_request_and_a_long_one_no_reply_that_is_under_way() {
-    let mut rig = Rig::new(1, FaultPlan::default());
-    rig.opened(0);
+    let mut rig = Rig::open(1);
     rig.request(0, 1).unwrap();
     assert!(rig.world.unplug(drive(0)));
     rig.pass(100 * MS);
@@ -85,8 +82,7 @@ fn a_short_loss_of_the_plug_loses_no_request_and_a_long_one_no_reply_that_is_und
 
 #[test]
 fn a_long_loss_of_the_plug_breaks_the_connection_and_it_comes_back_with_the_plug() {
-    let mut rig = Rig::new(1, FaultPlan::default());
-    rig.opened(0);
+    let mut rig = Rig::open(1);
     assert!(rig.world.unplug(drive(0)));
     rig.request(0, 1).unwrap();
     let begin = rig.world.now();
@@ -111,8 +107,7 @@ fn a_long_loss_of_the_plug_breaks_the_connection_and_it_comes_back_with_the_plug
 
 #[test]
 fn without_the_plug_the_wire_takes_a_window_and_no_more() {
-    let mut rig = Rig::new(1, FaultPlan::default());
-    rig.opened(0);
+    let mut rig = Rig::open(1);
     assert!(rig.world.unplug(drive(0)));
     let taken = (0..2 * WINDOW).filter(|_| {
         let taken = rig.request(0, 1).unwrap().1;
