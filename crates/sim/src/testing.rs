@@ -7,6 +7,14 @@ use super::{Carrier, FaultPlan, SimDrive, SimSegment, SimSerial};
 use fieldbeat_core::net::{Parity, Rs485, SerialLine};
 use fieldbeat_core::time::{MS, S, Time};
 
+/// The bytes of hexadecimal digits; all else is left out.
+pub fn hex(text: &str) -> Vec<u8> {
+    let digits: Vec<u8> = text.bytes().filter(u8::is_ascii_hexdigit).collect();
+    assert!(digits.len().is_multiple_of(2), "{text}");
+    let byte = |pair: &[u8]| u8::from_str_radix(std::str::from_utf8(pair).unwrap(), 16).unwrap();
+    digits.chunks(2).map(byte).collect()
+}
+
 /// The peers connected to the drive of a test, each with the begin of a request. It never waits for a peer.
 #[derive(Clone, Default)]
 pub struct Peers(Arc<Mutex<Vec<Peer>>>);

@@ -277,8 +277,8 @@ fn write(command: u8, object: Object, data: [u8; EXPEDITED_MAX]) -> Step {
 
 #[cfg(test)]
 mod tests {
-    use super::super::testing::bytes;
     use super::*;
+    use crate::testing::hex;
     use fieldbeat_ethercat::wire::mailbox::{MailboxError, Message as Parsed, parse};
     use fieldbeat_ethercat::wire::sdo::Response;
 
@@ -297,11 +297,11 @@ mod tests {
             let request = mailbox.take(&sent).unwrap();
             assert_eq!((request.object, &request.data), (object, &data));
             mailbox.answer(&request, Ok(value));
-            assert_eq!([mailbox.next(), mailbox.next()], [Some(bytes(answer)), None]);
+            assert_eq!([mailbox.next(), mailbox.next()], [Some(hex(answer)), None]);
         }
         let mut mailbox = Mailbox::new(Dialect::Standard, None);
         mailbox.report(Emergency { code: 0x4310, register: 8, vendor: [1, 0, 0, 0, 0] });
-        assert_eq!(mailbox.next(), Some(bytes("0A00 0000 00 03 0010 1043 08 01 00000000")));
+        assert_eq!(mailbox.next(), Some(hex("0A00 0000 00 03 0010 1043 08 01 00000000")));
         (0..100).for_each(|_| mailbox.report(Emergency::default()));
         assert_eq!(mailbox.queue.len(), QUEUE);
     }

@@ -135,13 +135,14 @@ impl Segment {
 #[cfg(test)]
 mod tests {
     use super::super::Settings;
-    use super::super::testing::{Bench, bytes};
+    use super::super::testing::Bench;
+    use crate::testing::hex;
     use fieldbeat_core::time::{MS, US};
     use fieldbeat_ethercat::wire::frame::Command;
     use fieldbeat_ethercat::wire::registers::{AlState, Difference, Features, address};
 
     fn pass(bench: &mut Bench, sent: &str) -> Vec<u8> {
-        let mut frame = bytes(sent);
+        let mut frame = hex(sent);
         bench.segment.pass(bench.now, &mut frame);
         frame
     }
@@ -151,8 +152,8 @@ mod tests {
         let mut bench = Bench::drives(|settings| {
             (settings.features, settings.clock_ns) = (Features(0x018C), 5_123_456_789);
         });
-        bench.scripts[0].script().inputs = bytes("40E20100 06FF 3706");
-        bench.scripts[1].script().inputs = bytes("FFFFFFFF 0000 3306");
+        bench.scripts[0].script().inputs = hex("40E20100 06FF 3706");
+        bench.scripts[1].script().inputs = hex("FFFFFFFF 0000 3306");
         bench.all_to(&[AlState::SafeOp, AlState::Op]);
         bench.send(Command::Lrw(0x1_0000), &[0; 28]);
         let back = pass(
@@ -163,14 +164,14 @@ mod tests {
         );
         assert_eq!(
             back,
-            bytes(
+            hex(
                 "FFFFFFFFFFFF 121010101010 88A4 4A10 | 0E 42 0110 1009 0880 0000 15BF613101000000 0200 | 0C \
                  43 00000100 1C80 0000 A0860100 0F00 6079FEFF 0700 40E20100 06FF 3706 FFFFFFFF 0000 3306 \
                  0600 | 07 44 0200 3001 0200 0000 0800 0200"
             )
         );
         let outputs = |n: usize| bench.scripts[n].script().cycles.last().unwrap().1.clone();
-        assert_eq!([0, 1].map(outputs), [bytes("A0860100 0F00"), bytes("6079FEFF 0700")]);
+        assert_eq!([0, 1].map(outputs), [hex("A0860100 0F00"), hex("6079FEFF 0700")]);
     }
 
     #[test]
@@ -187,7 +188,7 @@ mod tests {
                 "FFFFFFFFFFFF 030101010101 88A4 1410 07 04 0100 0000 0280 0000 0402 0100 070500000000",
             ),
         ] {
-            assert_eq!(pass(&mut bench, sent), bytes(back));
+            assert_eq!(pass(&mut bench, sent), hex(back));
         }
         for other in [
             "FFFFFFFFFFFF 010101010101 0800 0E10 07 04 0000 0000 0200 0000 0000 0000",
@@ -196,7 +197,7 @@ mod tests {
             "FFFFFFFFFFFF",
             "",
         ] {
-            assert_eq!(pass(&mut bench, other), bytes(other));
+            assert_eq!(pass(&mut bench, other), hex(other));
         }
     }
 

@@ -8,13 +8,6 @@ use fieldbeat_core::time::{MS, S, Time};
 use fieldbeat_ethercat::wire::frame::{BROADCAST, Builder, Command, FRAME_MAX, datagrams, position};
 use fieldbeat_ethercat::wire::registers::{AlCode, AlState, AlStatus, Fmmu, SyncManager, address};
 
-/// The bytes of hexadecimal digits; all else is left out.
-pub(super) fn bytes(hex: &str) -> Vec<u8> {
-    let digits: Vec<u8> = hex.bytes().filter(u8::is_ascii_hexdigit).collect();
-    let byte = |pair: &[u8]| u8::from_str_radix(std::str::from_utf8(pair).unwrap(), 16).unwrap();
-    digits.chunks(2).map(byte).collect()
-}
-
 /// The behaviour of an application, and its calls.
 #[derive(Debug, Default)]
 pub(super) struct Script {
@@ -27,7 +20,6 @@ pub(super) struct Script {
     pub(super) requests: Vec<Vec<u8>>,
     /// When it ran, and with which outputs.
     pub(super) cycles: Vec<(Time, Vec<u8>)>,
-    pub(super) restarts: usize,
 }
 
 /// The same script on both sides.
@@ -78,10 +70,6 @@ impl Application for Scripted {
 
     fn dropped(&mut self) -> Option<AlCode> {
         self.script().drops.take()
-    }
-
-    fn restart(&mut self, _now: Time) {
-        self.script().restarts += 1;
     }
 }
 

@@ -1,6 +1,7 @@
 use super::super::Settings;
-use super::super::testing::{Bench, Script, bytes, with_mailbox};
+use super::super::testing::{Bench, Script, with_mailbox};
 use super::*;
+use crate::testing::hex;
 use fieldbeat_core::time::MS;
 use fieldbeat_ethercat::wire::frame::Command;
 use fieldbeat_ethercat::wire::registers::{AlState as S, address};
@@ -118,7 +119,7 @@ fn what_cannot_stay_in_op_falls_back_and_its_outputs_count_no_more() {
 #[test]
 fn a_message_is_answered_once_and_its_places_are_empty_and_full_in_turn() {
     let mut bench = at(S::PreOp);
-    let request = bytes(REQUEST);
+    let request = hex(REQUEST);
     assert_eq!(bench.read::<16>(0, 0x1C00), None, "empty");
     assert_eq!(bench.write(0, 0x1800, &request), 1);
     assert_eq!(bench.read(0, 0x0805), Some([0]), "its last byte is missing");
@@ -150,7 +151,7 @@ fn a_lost_answer_is_offered_again() {
     assert_eq!(bench.read(0, 0x080F), Some([0]));
     assert_eq!(bench.read::<0x400>(0, 0x1C00), Some(first));
     // What nobody asked for comes first, and the answer behind it.
-    let emergency = bytes("0A00 0000 00 03 0010 1043 08 01 00000000");
+    let emergency = hex("0A00 0000 00 03 0010 1043 08 01 00000000");
     script(&bench).messages.push(emergency.clone());
     bench.idle(1);
     bench.write(0, 0x1800, &[5; 0x400]);

@@ -11,6 +11,7 @@ mod sessions;
 use std::net::{Ipv4Addr, SocketAddrV4};
 
 use super::*;
+use crate::testing::hex;
 use fieldbeat_core::time::{MS, S};
 
 const MASTER: SocketAddrV4 = SocketAddrV4::new(Ipv4Addr::new(10, 0, 0, 1), 40_000);
@@ -23,13 +24,6 @@ const OWNER: &str = "20 04 24 66 2C 70 2C 65";
 const INPUT_ONLY: &str = "20 04 24 66 2C 67 2C 65";
 const LISTEN_ONLY: &str = "20 04 24 66 2C 68 2C 65";
 const ROUTER: &str = "20 02 24 01";
-
-/// Bytes as the sheet writes them.
-fn hex(text: &str) -> Vec<u8> {
-    let digits: Vec<u8> = text.chars().filter_map(|c| c.to_digit(16)).map(|digit| digit as u8).collect();
-    assert!(digits.len().is_multiple_of(2), "{text}");
-    digits.chunks(2).map(|pair| pair[0] << 4 | pair[1]).collect()
-}
 
 fn settings() -> MoonsSettings {
     MoonsSettings::new(DRIVE)

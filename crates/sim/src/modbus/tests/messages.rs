@@ -1,6 +1,8 @@
 //! Functions, exceptions and silent refusals (SI-Ethernet guide, Commander SE guide).
 
 use super::*;
+use crate::testing::hex;
+use fieldbeat_modbus::wire::frame;
 use proptest::prelude::*;
 
 const ADDRESS: Option<ExceptionCode> = Some(ExceptionCode::ADDRESS);
@@ -11,15 +13,6 @@ const SEED_WRITE: &str = "002A 0000 0013 FF10 47E4 0006 0C 00003039 00003039 000
 const SEED_WRITTEN: &str = "002A 0000 0006 FF10 47E4 0006";
 /// FC23 of the SI-Ethernet guide: the same, and reads Pr 20.024 ... 20.026.
 const GUIDE_READ_WRITE: &str = "002A 0000 0017 FF17 47E7 0006 47E4 0006 0C 00003039 00003039 00003039";
-
-fn hex(text: &str) -> Vec<u8> {
-    let digits: Vec<u8> = text
-        .bytes()
-        .filter(|byte| *byte != b' ')
-        .map(|byte| (byte as char).to_digit(16).unwrap() as u8)
-        .collect();
-    digits.chunks(2).map(|pair| pair[0] << 4 | pair[1]).collect()
-}
 
 #[test]
 fn the_block_of_the_m701_manual_is_written_and_read_back() {
@@ -140,7 +133,7 @@ proptest! {
         let check = |reply: &[u8]| {
             let mut rest = reply;
             while !rest.is_empty() {
-                let size = wire_size(rest);
+                let size = frame(rest).unwrap().unwrap();
                 assert!(Response::parse(&rest[..size]).is_ok(), "{rest:02X?}");
                 rest = &rest[size..];
             }
@@ -157,10 +150,6 @@ proptest! {
         }
         check(&bench.raw(&garbage));
     }
-}
-
-fn wire_size(bytes: &[u8]) -> usize {
-    fieldbeat_modbus::wire::frame(bytes).unwrap().unwrap()
 }
 
 #[test]

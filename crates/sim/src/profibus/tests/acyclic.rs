@@ -5,9 +5,7 @@ use super::*;
 const SAPS: Option<(u8, u8)> = Some((51, 51));
 
 fn bench(change: impl FnOnce(&mut AcyclicSettings)) -> Bench {
-    let mut bench = Bench::with(|settings| change(&mut settings.acyclic));
-    bench.up();
-    bench
+    Bench::online(|settings| change(&mut settings.acyclic))
 }
 
 /// The answer to a request, behind the polls that it takes.

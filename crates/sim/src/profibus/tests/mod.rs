@@ -12,6 +12,7 @@ use std::any::Any;
 
 use super::*;
 use crate::serial::Medium;
+use crate::testing::hex;
 use fieldbeat_core::time::MS;
 use fieldbeat_profibus::RATES;
 
@@ -60,6 +61,13 @@ impl Bench {
         let mut settings = LenzeSettings::new(SLAVE);
         change(&mut settings);
         Bench::at(500_000, settings)
+    }
+
+    /// The same, in Data_Exchange and in Operate.
+    fn online(change: impl FnOnce(&mut LenzeSettings)) -> Bench {
+        let mut bench = Bench::with(change);
+        bench.up();
+        bench
     }
 
     fn sim(&mut self, place: usize) -> &mut LenzeSim {
@@ -209,13 +217,6 @@ impl Bench {
         assert_eq!(self.slave().misuse(), Misuse::default());
     }
 
-    /// The same for a master that is not the first one.
-    fn up_as(&mut self, parametrised: u64) {
-        self.configured(&PRM, &[0xF3, 0xF1]);
-        assert_eq!(self.diagnose()[3], self.master);
-        assert_eq!(self.slave().events().parametrised, parametrised);
-    }
-
     /// An exchange of the two words, without a job: status word and actual value.
     fn words(&mut self, control: u16, set_point: i16) -> (u16, i16) {
         self.cycle([0; 8], control, set_point).1
@@ -254,10 +255,6 @@ impl Bench {
         let now = self.now;
         self.slave().truth(now).velocity * 60.0
     }
-}
-
-fn hex(text: &str) -> Vec<u8> {
-    text.split_whitespace().map(|byte| u8::from_str_radix(byte, 16).unwrap()).collect()
 }
 
 /// Lock, watchdog of 100 ms, ident 0082, DP-V1.
