@@ -202,37 +202,3 @@ pub(super) fn check(upid: u16, raw: u32, usage: u16) -> Result<i64, Refusal> {
         Err(Refusal::OutOfRange)
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use std::net::{Ipv4Addr, SocketAddrV4};
-
-    fn settings() -> LinMotSettings {
-        LinMotSettings::new(SocketAddrV4::new(Ipv4Addr::LOCALHOST, 1))
-    }
-
-    #[test]
-    fn the_plan_is_what_was_commissioned() {
-        let plan =
-            LinMotSettings { range: (-5, 7), home_position: 3, stream_period_ns: 2_500_999, ..settings() };
-        let p = Parameters::new(&plan);
-        for (upid, value) in [
-            (upids::MINIMUM_POSITION, -5),
-            (upids::MAXIMUM_POSITION, 7),
-            (upids::HOME_POSITION, 3),
-            (upids::SLIDER_HOME_POSITION, 3),
-            (upids::STREAM_PERIOD, 2_500),
-        ] {
-            assert_eq!((p.used(upid), p.rom(upid)), (value, Ok(value as u32)), "{upid:04X}h");
-        }
-        let mut modified = Vec::new();
-        let mut at = 0;
-        while let Some((upid, _)) = p.modified_from(at) {
-            modified.push(upid);
-            at = upid + 1;
-        }
-        assert_eq!(modified, [0x13C7, 0x13CA, 0x146E, 0x146F, 0x14E6]);
-        assert_eq!(Parameters::new(&settings()).modified_from(0), None);
-    }
-}

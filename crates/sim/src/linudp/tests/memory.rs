@@ -53,11 +53,8 @@ impl Bench {
         let mut bytes = Vec::new();
         for n in 1..=count {
             let (status, [echo, low, high]) = self.rtc(command, [index, 0, 0]);
-            assert_eq!(
-                (status, echo),
-                (if n < count { MORE } else { DONE }, index),
-                "block {n} of {command}"
-            );
+            let expected = if n < count { MORE } else { DONE };
+            assert_eq!((status, echo), (expected, index), "block {n} of {command}");
             bytes.extend([low.to_le_bytes(), high.to_le_bytes()].concat());
         }
         bytes.truncate(size);
@@ -107,10 +104,6 @@ impl Bench {
         }
         assert_eq!(size, 64);
         Some(Entry::decode(&self.fetch(C::GET_ENTRY_DATA, id, 64)).unwrap())
-    }
-
-    fn stop_software(&mut self) {
-        assert_eq!(self.rtc(C::STOP_SOFTWARE, [0; 3]).0, DONE);
     }
 }
 
@@ -287,10 +280,9 @@ fn a_restart_in_a_save_leaves_nothing() {
         let mut bench = Bench::new(|_| {});
         bench.add_curve(&curve(5, &[1, 2]));
         bench.put_entry(9, &entry(go_to(CM, VAD), None));
-        bench.stop_software();
+        assert_eq!(bench.rtc(C::STOP_SOFTWARE, [0; 3]).0, DONE);
         for command in [C::SAVE_CURVES, C::SAVE_TABLE] {
-            let (status, _) = bench.rtc(command, [0; 3]);
-            bench.settle(status);
+            assert_eq!(bench.write(command, 0, 0), DONE);
         }
         bench.rtc(save, [0; 3]);
         bench.now = bench.now + 499 * MS;

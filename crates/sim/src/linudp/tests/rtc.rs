@@ -155,7 +155,7 @@ fn the_drive_works_with_its_parameters() {
 
 #[test]
 fn the_lists_go_through_all_upids_and_through_the_modified_ones() {
-    let mut bench = Bench::new(|_| {});
+    let mut bench = Bench::new(|plan| (plan.home_position, plan.stream_period_ns) = (3, 2_500_999));
     bench.rtc(C::START_LIST, [0; 3]);
     let mut all = Vec::new();
     let end = loop {
@@ -187,13 +187,23 @@ fn the_lists_go_through_all_upids_and_through_the_modified_ones() {
     bench.write(C::WRITE_ROM, 0x14C0, 0x12_3456);
     bench.rtc(C::START_MODIFIED_LIST, [0x14BE, 0, 0]);
     assert_eq!(bench.rtc(C::NEXT_MODIFIED_ITEM, [0; 3]), (DONE, [0x14C0, 0x3456, 0x12]));
-    assert_eq!(bench.rtc(C::NEXT_MODIFIED_ITEM, [0; 3]), (DONE, [0x14E6, 2_000, 0]));
+    // What was commissioned is in it, too.
+    bench.rtc(C::START_MODIFIED_LIST, [0; 3]);
+    let home = [(0x13C7, 3), (0x13CA, 3)];
+    let rest = [(0x146E, -20 * CM), (0x146F, 20 * CM), (0x14C0, 0x12_3456), (0x14E6, 2_500)];
+    for (upid, value) in home.into_iter().chain(rest) {
+        let words = [upid, value as u16, (value >> 16) as u16];
+        assert_eq!(bench.rtc(C::NEXT_MODIFIED_ITEM, [0; 3]), (DONE, words));
+    }
     for _ in 0..2 {
         assert_eq!(bench.rtc(C::NEXT_MODIFIED_ITEM, [0; 3]).0, refused(Refusal::EndOfList));
     }
     assert_eq!(bench.rtc(C::NEXT_ITEM, [0; 3]).0, refused(Refusal::ListNotStarted));
     bench.restart();
     assert_eq!(bench.rtc(C::NEXT_MODIFIED_ITEM, [0; 3]).0, refused(Refusal::ListNotStarted));
+    let mut delivered = Bench::new(|plan| *plan = LinMotSettings::new(plan.address));
+    delivered.rtc(C::START_MODIFIED_LIST, [0; 3]);
+    assert_eq!(delivered.rtc(C::NEXT_MODIFIED_ITEM, [0; 3]).0, refused(Refusal::EndOfList));
 }
 
 #[test]

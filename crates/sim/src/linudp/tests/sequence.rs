@@ -120,8 +120,7 @@ fn in_run_mode_3_the_table_begins_by_itself_once_homed() {
     let mut bench = bench(&[go_to(CM, VAD)]);
     bench.write(C::WRITE_BOTH, 0x1450, 3);
     bench.rtc(C::STOP_SOFTWARE, [0; 3]);
-    let (status, _) = bench.rtc(C::SAVE_TABLE, [0; 3]);
-    bench.settle(status);
+    assert_eq!(bench.write(C::SAVE_TABLE, 0, 0), DONE);
     bench.restart();
     bench.enable();
     bench.now = bench.now + S;
