@@ -158,27 +158,3 @@ impl Manager {
         std::mem::replace(&mut self.repeated, requested) != requested
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn manager(control: u8, state: AlState) -> Manager {
-        let mut manager = Manager::default();
-        manager.enter(state);
-        manager.set(SyncManager { start: 0x1800, length: 0x400, control, activate: 1 });
-        manager
-    }
-
-    #[test]
-    fn outputs_count_once_they_are_whole_and_until_they_are_locked() {
-        let mut memory = vec![0; 0x1_0000];
-        memory[0x1BFF] = 7;
-        let mut outputs = manager(SyncManager::OUTPUTS, AlState::SafeOp);
-        assert!(!outputs.has_written(&(0x1800..0x1801), &memory) && outputs.taken().is_empty());
-        assert!(outputs.has_written(&(0x1BFF..0x1C00), &memory) && outputs.may_write());
-        assert_eq!((outputs.taken().len(), outputs.taken()[0x3FF]), (0x400, 7));
-        outputs.enter(AlState::PreOp);
-        assert!(outputs.taken().is_empty());
-    }
-}

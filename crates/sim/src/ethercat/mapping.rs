@@ -90,37 +90,3 @@ impl Mapping {
         Ok(())
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn kind(object: Object) -> Option<Type> {
-        match (object.index, object.sub) {
-            (0x6040, 0) => Some(Type::U16),
-            (0x60C1, 1) => Some(Type::I32),
-            _ => None,
-        }
-    }
-
-    #[test]
-    fn a_pdo_is_mapped_as_the_standard_says_and_read_back() {
-        let mut mapping = Mapping::new();
-        let mut write = |sub, data: &[u8]| mapping.write(Object::new(0x1600, sub), data, kind);
-        assert_eq!(write(1, &[32, 1, 0xC1, 0x60]), Ok(()));
-        assert_eq!(write(2, &[16, 0, 0x40, 0x60]), Ok(()));
-        assert_eq!(write(0, &[2]), Ok(()));
-        assert_eq!(write(1, &[16, 0, 0x40, 0x60]), Err(abort::NOT_ZERO), "its count is set");
-        assert_eq!(write(0, &[3]), Err(abort::NOT_MAPPABLE), "there is no third one");
-        assert_eq!(write(0, &[9]), Err(abort::HIGH));
-        assert_eq!(write(9, &[0; 4]), Err(AbortCode::NO_SUB));
-        assert_eq!(write(0, &[2, 0]), Err(AbortCode::LENGTH));
-        let layout = mapping.layouts().next().unwrap();
-        assert_eq!((layout.pdo, layout.size(), layout.is_output()), (0x1600, 6, true));
-        assert_eq!(layout.place(Object::new(0x6040, 0)), Some(4));
-        assert_eq!(mapping.read(Object::new(0x1600, 0)), Ok(vec![2]));
-        assert_eq!(mapping.read(Object::new(0x1600, 1)), Ok(vec![32, 1, 0xC1, 0x60]));
-        assert_eq!(mapping.read(Object::new(0x1A03, 0)), Ok(vec![0]));
-        assert!(!mapping.has(Object::new(0x1604, 0)) && mapping.has(Object::new(0x1A03, 5)));
-    }
-}

@@ -174,24 +174,3 @@ fn mapping(layout: &Layout) -> Vec<(Object, Vec<u8>)> {
 fn length(kind: Type) -> usize {
     if kind == Type::Text { TEXT } else { kind.bytes() }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn objects(family: Family) -> Objects {
-        Objects::new(&DriveSettings::new(family))
-    }
-
-    #[test]
-    fn a_fixed_pdo_says_what_it_is_made_of_and_stays_so() {
-        let s700 = objects(Family::S700);
-        assert_eq!(s700.read(Object::new(0x1702, 0)), Ok(vec![2]));
-        assert_eq!(s700.read(Object::new(0x1702, 1)), Ok(vec![32, 0, 0x6B, 0x60]));
-        assert_eq!(s700.read(Object::new(0x1702, 2)), Ok(vec![16, 0, 0x40, 0x60]));
-        assert_eq!(s700.read(Object::new(0x1702, 3)), Err(AbortCode::NO_SUB));
-        assert_eq!(s700.read(Object::new(0x1705, 0)), Err(AbortCode::NO_OBJECT));
-        let write = s700.written(Object::new(0x1702, 0), &[0], AlState::PreOp);
-        assert_eq!(write, Err(AbortCode::READ_ONLY));
-    }
-}

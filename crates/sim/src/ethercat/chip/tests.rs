@@ -179,6 +179,10 @@ fn the_watchdog_runs_from_the_last_output_and_can_be_switched_off() {
     };
     assert!(chip.write(address::sync_manager(2), &outputs.to_bytes()));
     chip.begin(Passage { at: Time(5), back: [None; 4] });
+    assert!(
+        chip.write(0x1100, &[9]) && !chip.takes_outputs() && chip.outputs().next().is_none(),
+        "not whole"
+    );
     assert!(chip.write(0x1100, &[1, 2]) && chip.takes_outputs() && !chip.takes_outputs());
     assert!(chip.outputs().eq([1, 2]));
     // 1 000 ticks of 100 us.
@@ -190,4 +194,6 @@ fn the_watchdog_runs_from_the_last_output_and_can_be_switched_off() {
     assert!(!chip.watchdog_expired(Time(300_000_000)));
     assert!(chip.write(WATCHDOG_COUNTER as u16, &[7]));
     assert_eq!(chip.bytes(address::WATCHDOG_STATUS), [1, 0, 0]);
+    chip.show_state(AlState::PreOp, false, AlCode::NONE);
+    assert!(chip.outputs().next().is_none(), "locked, they count no more");
 }

@@ -174,6 +174,11 @@ impl Bench {
         Ok(object.known().unwrap().kind.number(u64::from_le_bytes(raw)))
     }
 
+    /// The bytes of an object.
+    fn bytes(&mut self, index: u16, sub: u8) -> Result<Vec<u8>, AbortCode> {
+        self.ask(&Request::Upload { object: Object::new(index, sub), complete: false })
+    }
+
     /// The emergencies that wait.
     fn emergencies(&mut self) -> Vec<u16> {
         let mut reply = Vec::new();

@@ -24,6 +24,21 @@ fn pdos_are_selected_in_pre_op_only_and_in_the_order_of_the_manual() {
 }
 
 #[test]
+fn a_fixed_pdo_says_what_it_is_made_of_and_stays_so() {
+    let mut bench = Bench::pre_op(|_| {});
+    for (index, sub, expected) in [
+        (0x1702, 0, Ok(vec![2])),
+        (0x1702, 1, Ok(vec![32, 0, 0x6B, 0x60])),
+        (0x1702, 2, Ok(vec![16, 0, 0x40, 0x60])),
+        (0x1702, 3, Err(AbortCode::NO_SUB)),
+        (0x1705, 0, Err(AbortCode::NO_OBJECT)),
+    ] {
+        assert_eq!(bench.bytes(index, sub), expected, "{index:#06x}:{sub}");
+    }
+    assert_eq!(bench.write("0x1702:0", &[0]), Err(AbortCode::READ_ONLY));
+}
+
+#[test]
 fn an_akd_distinguishes_wrong_lengths_and_has_mode_8() {
     let mut bench = Bench::of(Family::Akd, |_| {});
     bench.enter(AlState::PreOp).unwrap();
@@ -77,13 +92,22 @@ fn the_master_maps_its_own_pdo_and_the_drive_obeys_it() {
     bench.write("0x1600:1", &[16, 0, 0x40, 0x60]).unwrap();
     bench.write("0x1600:2", &[32, 1, 0xC1, 0x60]).unwrap();
     bench.write("0x1600:0", &[2]).unwrap();
+    // Its count is set; there is no third entry, no ninth one, and no fifth PDO.
+    for (object, data, code) in [
+        ("0x1600:1", &[16, 0, 0x40, 0x60][..], abort::NOT_ZERO),
+        ("0x1600:0", &[3], abort::NOT_MAPPABLE),
+        ("0x1600:0", &[9], abort::HIGH),
+        ("0x1600:0", &[2, 0], AbortCode::LENGTH),
+        ("0x1600:9", &[0; 4], AbortCode::NO_SUB),
+        ("0x1604:0", &[0], AbortCode::NO_OBJECT),
+    ] {
+        assert_eq!(bench.write(object, data), Err(code), "{object}");
+    }
+    assert_eq!([bench.bytes(0x1600, 0), bench.bytes(0x1A03, 0)], [Ok(vec![2]), Ok(vec![0])]);
     bench.select(0x1C12, 0x1600);
     assert_eq!(bench.drive.sizes(), (6, 8));
     assert_eq!(bench.write("0x1600:0", &[0]), Err(abort::INCOMPATIBLE), "it is selected");
-    let mapped = |bench: &mut Bench, sub| {
-        bench.ask(&Request::Upload { object: Object::new(0x1600, sub), complete: false })
-    };
-    assert_eq!(mapped(&mut bench, 2), Ok(vec![32, 1, 0xC1, 0x60]));
+    assert_eq!(bench.bytes(0x1600, 2), Ok(vec![32, 1, 0xC1, 0x60]));
     bench.go_to_op();
     assert_eq!(bench.write("0x1A00:0", &[0]), Err(AbortCode::STATE));
     assert_eq!(bench.write("0x60C1:1", &[0; 4]), Err(abort::MAPPED));
@@ -94,7 +118,7 @@ fn the_master_maps_its_own_pdo_and_the_drive_obeys_it() {
     assert_eq!(bench.drive.axis_state(), State::SwitchedOn, "the control word stands first");
     bench.drive.restart(bench.now);
     bench.enter(AlState::PreOp).unwrap();
-    assert_eq!((bench.drive.sizes(), mapped(&mut bench, 0)), ((6, 8), Ok(vec![0])));
+    assert_eq!((bench.drive.sizes(), bench.bytes(0x1600, 0)), ((6, 8), Ok(vec![0])));
 }
 
 #[test]

@@ -1,8 +1,9 @@
 //! Slaves that are not like the usual ones, register by register.
 
-use super::super::super::testing::{Bench, bytes};
+use super::super::super::testing::Bench;
 use super::*;
 use crate::ethercat::{Behind, MailboxSettings, Misuse, SiiContent};
+use crate::testing::hex;
 use fieldbeat_ethercat::wire::frame::Command;
 use fieldbeat_ethercat::wire::registers::{AlCode, AlState as S, AlStatus, address};
 use fieldbeat_ethercat::wire::sii::word;
@@ -116,30 +117,6 @@ fn a_strict_processor_compares_each_byte_of_its_sync_managers() {
     // With an interrupt.
     bench.manage(0, 0, &[0x00, 0x18, 16, 0, 0x36, 0, 1, 0]);
     assert_eq!(go(&mut bench, S::PreOp), (S::Init, Some(AlCode(0x0016))));
-}
-
-#[test]
-fn terminals_have_the_process_data_and_the_identity_of_the_real_ones() {
-    for (own, product, entries) in [
-        (Model::El1008, 0x03F0_3052, vec!["0010 0100 00 00 01 04"]),
-        (Model::El2008, 0x07D8_3052, vec!["000F 0100 44 00 01 03"]),
-        (Model::El2809, 0x0AF9_3052, vec!["000F 0100 44 00 01 03", "010F 0100 44 00 01 03"]),
-        (Model::El1809, 0x0711_3052, vec!["0010 0200 00 00 01 04"]),
-    ] {
-        let contents = own.contents();
-        let image = contents.image();
-        assert_eq!(contents.identity, Identity { vendor: 2, product, ..contents.identity });
-        let content: Vec<u8> = image.iter().flat_map(|word| word.to_le_bytes()).collect();
-        let entries = bytes(&entries.concat());
-        assert!(content.windows(entries.len()).any(|window| window == entries), "{own:?}");
-        assert_eq!(
-            Model::ALL.iter().find(|(name, _)| *name == own.name()).map(|(_, model)| *model),
-            Some(own)
-        );
-    }
-    let channels = Model::El2002.contents().outputs;
-    assert_eq!(channels[1], Pdo { index: 0x1601, manager: 0, entries: vec![(0x7010, 1, 1)] });
-    assert_eq!(Model::El2809.contents().outputs[8].manager, 1);
 }
 
 /// Reads two words of the SII, as far as it answers.
@@ -260,7 +237,7 @@ fn the_inputs_of_a_drive_are_valid_as_soon_as_it_is_in_safeop() {
 
 /// Writes a message to its mailbox.
 fn post(bench: &mut Bench, message: &str) {
-    assert_eq!(bench.write(0, 0x1800, &bytes(message)), 1);
+    assert_eq!(bench.write(0, 0x1800, &hex(message)), 1);
 }
 
 /// The message in its mailbox.
@@ -315,7 +292,7 @@ fn sdo_information_is_answered_by_an_abort_of_the_size_of_the_mailbox() {
     let mut bench = mailbox(MailboxSettings::default());
     // The list of all objects.
     post(&mut bench, "0800 0000 00 43 0080 01 00 0000 0100 0000");
-    let answer = bytes("0A00 0000 00 43 0080 07 00 0000 23000008");
+    let answer = hex("0A00 0000 00 43 0080 07 00 0000 23000008");
     assert_eq!(fetch(&mut bench).map(Vec::from), Some(answer));
 }
 
@@ -349,7 +326,7 @@ fn an_analogue_terminal_has_objects_and_inputs_that_live() {
     }
     assert_eq!(go(&mut bench, S::PreOp), (S::PreOp, None));
     let mut ask = |request: &str| {
-        let mut message = bytes(request);
+        let mut message = hex(request);
         message.resize(128, 0);
         assert_eq!(bench.write(0, 0x1000, &message), 1);
         bench.wait(MS);
@@ -369,7 +346,7 @@ fn an_analogue_terminal_has_objects_and_inputs_that_live() {
         (2, "2F 0010 00 01000000", "80 0010 00 02000106"),
         (3, "40 0020 00 00000000", "80 0020 00 00000206"),
     ] {
-        let answer = bytes(answer);
+        let answer = hex(answer);
         let came = ask(&format!("0A00 0000 00 {count}3 0020 {request}"));
         assert_eq!(came[..answer.len()], answer, "{request}");
     }
