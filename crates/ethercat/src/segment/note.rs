@@ -441,14 +441,9 @@ mod tests {
             assert_eq!(notes.get(0), note);
             assert_eq!(note.text(4, &Expected::default()).is_none(), note == Note::None);
         }
-        assert_eq!(
-            all.iter()
-                .find(|note| matches!(note, Note::State { .. }))
-                .unwrap()
-                .text(1, &Expected::default())
-                .unwrap(),
-            "place 1: it refuses SAFEOP: AL status code 0x001d (invalid output configuration)"
-        );
+        let refused = Note::State { to: AlState::SafeOp, code: AlCode(0x1D) }.text(1, &Expected::default());
+        let text = "place 1: it refuses SAFEOP: AL status code 0x001d (invalid output configuration)";
+        assert_eq!(refused.as_deref(), Some(text));
         assert_eq!(notes.get(7), Note::None);
     }
 }

@@ -44,9 +44,6 @@ struct Reports {
     taken: Vec<Owner>,
     passed_by: Vec<Owner>,
     restarted: Vec<Owner>,
-    /// The newest inputs.
-    inputs: Vec<u8>,
-    wants_outputs: bool,
     wrong_counts: u64,
 }
 
@@ -68,7 +65,7 @@ impl Handler for Reports {
     fn mailbox_received(&mut self, _owner: Owner, _now: Time, _answers: &Answers<'_>) {}
 
     fn wants_outputs(&self, _owner: Owner) -> bool {
-        self.wants_outputs
+        false
     }
 
     fn powered(&self, owner: Owner) -> Option<(bool, Time)> {
@@ -82,7 +79,6 @@ impl Handler for Reports {
     fn take(&mut self, owner: Owner, taken: Taken<'_>) {
         assert!(taken.in_window && !(taken.inputs.is_empty() && matches!(owner, Owner::Drive(_))));
         self.taken.push(owner);
-        self.inputs = taken.inputs.to_vec();
     }
 
     fn passed_by(&mut self, owner: Owner) {
@@ -318,10 +314,6 @@ impl Rig {
         (0..self.drives).map(count).collect()
     }
 
-    fn wrong_counts(&self) -> u64 {
-        self.reported.wrong_counts
-    }
-
     fn note(&self, index: usize) -> Note {
         self.line.notes.get(index)
     }
@@ -359,7 +351,7 @@ fn a_segment_comes_up_to_op_and_every_frame_counts() {
             rig.put_out(place - 1, 0xA5);
             rig.run(2);
         }
-        assert_eq!(rig.wrong_counts(), 0, "{what}");
+        assert_eq!(rig.reported.wrong_counts, 0, "{what}");
     }
 }
 
@@ -370,13 +362,13 @@ fn a_drive_that_receives_nothing_costs_no_other_one_a_frame_and_comes_back() {
     rig.sim.deafen(2, true);
     assert_eq!(rig.receive(1_000), [1_000, 1_000, 0, 1_000, 1_000]);
     // It is not counted: at its place there is the one behind it, and is left alone.
-    assert_eq!((rig.wrong_counts(), rig.note(2)), (0, Note::WrongPlace(3)));
+    assert_eq!((rig.reported.wrong_counts, rig.note(2)), (0, Note::WrongPlace(3)));
     assert_eq!(rig.reported.states.last(), Some(&(Owner::Drive(2), None)));
     rig.sim.deafen(2, false);
     let frames = rig.reported.taken.len();
     let cycles = rig.all_up(4_000);
     assert_eq!(rig.reported.taken.len() - frames, 4 * cycles, "the others went on");
-    assert_eq!((rig.wrong_counts(), rig.receive(100)), (0, vec![100; 5]));
+    assert_eq!((rig.reported.wrong_counts, rig.receive(100)), (0, vec![100; 5]));
     // One that is switched off and on is reported, and comes back, too.
     let now = rig.cycle.grid;
     rig.sim.restart(now, 1);
@@ -384,7 +376,7 @@ fn a_drive_that_receives_nothing_costs_no_other_one_a_frame_and_comes_back() {
     assert_eq!([0, 2, 3, 4].map(|place| answers[place]), [10; 4]);
     rig.all_up(4_000);
     assert_eq!(rig.reported.restarted, [Owner::Drive(1)]);
-    assert_eq!((rig.wrong_counts(), rig.receive(100)), (0, vec![100; 5]));
+    assert_eq!((rig.reported.wrong_counts, rig.receive(100)), (0, vec![100; 5]));
 }
 
 #[test]
@@ -403,7 +395,7 @@ fn a_cut_cable_takes_what_is_behind_it_and_nothing_else() {
         let upstream = rig.reported.taken.iter().filter(is_before).count();
         assert_eq!(upstream, from * cycles, "they went on while the others came back");
         rig.until("one time for all", 500, |rig| rig.line.timed);
-        assert_eq!((rig.wrong_counts(), rig.receive(100)), (0, vec![100; count.into()]));
+        assert_eq!((rig.reported.wrong_counts, rig.receive(100)), (0, vec![100; count.into()]));
         assert!(rig.reported.restarted.is_empty(), "nothing was switched off");
     }
 }
@@ -413,7 +405,7 @@ fn an_image_that_outgrows_a_frame_goes_by_more_and_each_is_judged_alone() {
     let mut rig = Rig::new(&drives(90));
     assert!(rig.image.frames().len() > 1);
     rig.all_up(20_000);
-    assert_eq!((rig.wrong_counts(), rig.receive(20)), (0, vec![20; 90]));
+    assert_eq!((rig.reported.wrong_counts, rig.receive(20)), (0, vec![20; 90]));
     rig.sim.deafen(80, true);
     let answered = rig.receive(100);
     assert!((0..90).all(|index| answered[index] == if index == 80 { 0 } else { 100 }), "{answered:?}");

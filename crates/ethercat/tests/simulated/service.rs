@@ -327,7 +327,7 @@ fn a_first_request_that_has_the_last_count_of_another_master_is_answered_all_the
     // Of two requests the second one may be answered late: the next one keeps them apart.
     for (last, requests) in [(0, 1), (1, 3), (2, 1), (7, 1)] {
         let (mut bench, server) = Bench::server(32, &[(MODE, &[8])]);
-        server.shared().count_is(last);
+        server.shared().last = last;
         for round in 0..3 {
             bench.service.read(MODE);
             let end = (0..690).find_map(|_| {

@@ -122,12 +122,13 @@ fn whatever_was_left_is_taken_over_in_the_time_of_a_fresh_segment() {
         rig.next_master(&plan);
         // Old FMMUs reach into its frames at first, while no slave is in operation.
         rig.run(20);
-        let wrong = rig.wrong_counts();
+        let wrong = rig.reported.wrong_counts;
         let cycles = 20 + rig.all_up(5_000);
         worst = worst.max(cycles);
-        assert_eq!((rig.receive(100), rig.wrong_counts()), (vec![100; 3], wrong), "seed {seed}");
+        assert_eq!((rig.receive(100), rig.reported.wrong_counts), (vec![100; 3], wrong), "seed {seed}");
         rig.assert_own_addresses();
         for place in 0..4 {
+            assert_eq!(rig.peek(place, address::SII_OWNER, 1), [1], "seed {seed}: it is given back");
             let used = rig.peek(place, address::fmmu(3), 32);
             assert_eq!(used, [0; 32], "seed {seed}: FMMUs of others");
             let watchdog = [address::WATCHDOG_DIVIDER, address::WATCHDOG].map(|at| rig.peek(place, at, 2));

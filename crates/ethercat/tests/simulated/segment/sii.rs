@@ -10,23 +10,6 @@ fn with(access: Access) -> Rig {
 }
 
 #[test]
-fn the_sii_is_taken_from_the_processor_and_given_back_before_preop() {
-    let mut rig = Rig::new(&drives(2));
-    for place in 0..2 {
-        rig.poke(place, address::SII_OWNER, &[1]);
-    }
-    let mut owner = 0;
-    rig.until("PREOP", 500, |rig| rig.al(0) > AlState::Init);
-    while rig.al(1) != AlState::Op {
-        rig.run(1);
-        owner = rig.peek(1, address::SII_OWNER, 1)[0];
-        assert!(rig.al(1) == AlState::Init || owner == 1);
-        assert!(rig.cycle.index < 4_000);
-    }
-    assert_eq!(owner, 1);
-}
-
-#[test]
 fn a_slave_that_is_refused_or_left_has_its_sii_back() {
     let mut rig = Rig::with_other(1, 0);
     rig.until("refused", 500, |rig| matches!(rig.note(0), Note::Product(_)));

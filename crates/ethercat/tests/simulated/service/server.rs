@@ -19,8 +19,9 @@ pub(super) struct Shared {
     pub requests: Vec<Vec<u8>>,
     pub twist: Option<Twist>,
     pub messages: VecDeque<Vec<u8>>,
+    /// The count of the last request.
+    pub last: u8,
     room: usize,
-    last: u8,
     /// What is left to read, or has been written so far, and where to.
     under_way: Option<(Object, Vec<u8>, usize)>,
     toggle: bool,
@@ -58,11 +59,6 @@ pub(super) fn coe(counter: u8, service: u8, sdo: &[u8]) -> Vec<u8> {
 }
 
 impl Shared {
-    /// Another master has left it with this count.
-    pub(super) fn count_is(&mut self, last: u8) {
-        self.last = last;
-    }
-
     fn find(&mut self, object: Object) -> Option<&mut Vec<u8>> {
         self.objects.iter_mut().find(|(own, _)| *own == object).map(|(_, data)| data)
     }
