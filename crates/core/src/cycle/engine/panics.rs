@@ -81,7 +81,7 @@ pub(super) struct Panics {
     pub slot: u64,
     pub stage: Option<Stage>,
     /// Each part is guarded by itself.
-    each: bool,
+    pub each: bool,
     first: Option<(u64, Option<Stage>, Part)>,
     counts: BTreeMap<Part, u8>,
     cut_short: bool,
@@ -106,7 +106,7 @@ impl Panics {
     }
 
     /// Runs the work of a part. `None`: it panicked, or it is left out.
-    fn guard<R>(&mut self, part: Part, work: impl FnOnce() -> R) -> Option<R> {
+    pub fn guard<R>(&mut self, part: Part, work: impl FnOnce() -> R) -> Option<R> {
         if self.is_left_out(part) {
             return None;
         }

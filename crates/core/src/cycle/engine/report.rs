@@ -4,12 +4,22 @@ use super::panics::Part;
 use super::{Channels, Engine};
 use crate::cycle::record::{CycleRecord, Look, Record};
 use crate::cycle::window::OpenBus;
+use crate::drive::controller::DriveController;
 use crate::rt::Clock;
 
 impl Channels {
     /// Sends a record to the telemetry, or counts it as lost.
     pub(super) fn record(&mut self, record: Record, lost: &mut u64) {
         *lost += u64::from(self.records.push(record).is_err());
+    }
+
+    /// Publishes a drive, with the monitored variables that it has shown.
+    #[inline(always)] // In the usual cycle.
+    fn publish(&mut self, axis: usize, controller: &mut DriveController, lost: &mut u64) {
+        self.record(Record::Drive(controller.publish(axis as u16)), lost);
+        if let Some(record) = controller.take_shown(axis as u16) {
+            self.record(Record::Monitor(record), lost);
+        }
     }
 }
 
@@ -71,14 +81,15 @@ impl<C: Clock> Engine<C> {
         let (mut lost, mut noted) = (0, false);
         let (channels, lost_records) = (&mut self.channels, &mut self.status.lost_records);
         for (axis, controller) in self.controllers.iter_mut().enumerate() {
-            self.panics.run(Part::Axis(axis), || {
-                noted |= controller.has_notes();
-                channels.record(Record::Drive(controller.publish(axis as u16)), lost_records);
-                if let Some(record) = controller.take_shown(axis as u16) {
-                    channels.record(Record::Monitor(record), lost_records);
+            noted |= controller.has_notes();
+            match self.panics.each {
+                false => channels.publish(axis, controller, lost_records),
+                true => {
+                    let publish = || channels.publish(axis, controller, lost_records);
+                    self.panics.guard(Part::Axis(axis), publish);
                 }
-                lost += controller.lost();
-            });
+            }
+            lost += controller.lost();
         }
         (lost, noted)
     }
