@@ -51,7 +51,7 @@ fn an_allocation_would_be_noticed() {
 struct Unwatched(Box<dyn SimDrive>);
 
 impl Unwatched {
-    fn new(drive: Box<dyn SimDrive>) -> Box<dyn SimDrive> {
+    fn around(drive: Box<dyn SimDrive>) -> Box<dyn SimDrive> {
         Box::new(Unwatched(drive))
     }
 }
@@ -125,7 +125,7 @@ fn a_recorded_run_allocates_nothing() {
         *LOG.lock().unwrap() = Some(log.reader);
     });
     let drives = support::simulated(&config).drives.into_iter();
-    let drives: Vec<_> = drives.map(Unwatched::new).collect();
+    let drives: Vec<_> = drives.map(Unwatched::around).collect();
     let mut sim = setup.simulate_with(drives, WorldOptions::default()).unwrap();
     sim.run_telemetry_by(|work| {
         unwatched(|| {
@@ -165,7 +165,7 @@ fn a_million_cycles_in_virtual_time_allocate_nothing() {
         seen.fetch_add(u64::from(link == Some(Link::Lost)), Ordering::Relaxed);
     });
     let drives = support::simulated(&config).drives.into_iter();
-    let drives: Vec<_> = drives.map(Unwatched::new).collect();
+    let drives: Vec<_> = drives.map(Unwatched::around).collect();
     let mut sim = begun(setup, drives, WorldOptions::default());
     let faults = FaultPlan {
         seed: 7,
@@ -493,7 +493,7 @@ fn packets_allocate_nothing_while_their_connections_are_open() {
     let drives = bus.drives.iter().enumerate().map(|(index, drive)| {
         let mut settings = MoonsSettings::of(drive);
         settings.clock = ClockSettings { drift_ppm: 300, jitter_ns: 200_000, seed: index as u64 };
-        Unwatched::new(Box::new(MoonsSim::new(settings)))
+        Unwatched::around(Box::new(MoonsSim::new(settings)))
     });
     let drives: Vec<_> = drives.collect();
     let setup = Master::from_plan(machine_of(bus, CyclePlan::default()));

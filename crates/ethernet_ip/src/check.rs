@@ -138,8 +138,8 @@ impl MoonsDrive {
         let wrong = self.effect_within_ns < seen_ns || self.effect_within_ns > 10 * S;
         faults.wrong_if(wrong, "effect_within", format_args!("must be {} ... 10 s: {what}", Ns(seen_ns)));
         let (within, least) = (self.watchdog.within_ns, self.rpi_ns(period_ns).saturating_mul(2));
-        let why = "must be \"accept\" with watchdog = \"off\": nothing stops the drive if the master dies; or \
-                   set ZS of the drive, and watchdog to that";
+        let why = "must be \"accept\" with watchdog = \"off\": nothing stops the drive if the master dies; \
+                   or set ZS of the drive, and watchdog to that";
         let unwatched = within.is_none() && self.takes_commands() && !self.watchdog.accept_none;
         faults.wrong_if(unwatched, "no_drive_watchdog", why);
         let wrong = within.is_some_and(|within| !(least..=WATCHDOG_MAX_NS).contains(&within));

@@ -21,8 +21,8 @@ use fieldbeat_core::cycle::starvation;
 use fieldbeat_core::rt::host::Throttling;
 
 /// A file with one drive and a fragment in one of its sections: of LinUDP, or of the wire whose name the section begins
-/// with; the whole file, or a sample; and [`FOUR`] or [`LIMITS`] with it. Behind `@` stands a period; before `-at` a drive
-/// whose fragment is `bind` and address.
+/// with; the whole file, or a sample; and [`FOUR`] or [`LIMITS`] with it. Behind `@` stands a period; before `-at` a
+/// drive whose fragment is `bind` and address.
 fn machine(section: &str, fragment: &str) -> String {
     match section {
         "file" => return fragment.to_owned(),
@@ -585,8 +585,8 @@ fn spinning_under_throttling_starves_the_host() {
     );
 }
 
-/// A sample with values replaced, so that every reader meets what it does not expect: a plan that can be put into words,
-/// or mistakes of one printable line each.
+/// A sample with values replaced, so that every reader meets what it does not expect: a plan that can be put into
+/// words, or mistakes of one printable line each.
 #[test]
 fn a_mangled_sample_never_panics() {
     let wild = "|0|-1|1e308|-1e308|5e-324|9223372036854775807|0xffff_ffff|nan|inf|true|[]|[[]]|[0, 1]|{}|\

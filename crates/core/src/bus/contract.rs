@@ -110,8 +110,8 @@ pub trait Bus: Send {
         None
     }
 
-    /// What the request that left last has carried to drive `index`: it is there in the cycle in which that left, before
-    /// the next one is prepared.
+    /// What the request that left last has carried to drive `index`: it is there in the cycle in which that left,
+    /// before the next one is prepared.
     fn outputs(&self, _index: usize) -> &[u8] {
         &[]
     }

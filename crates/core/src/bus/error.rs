@@ -94,6 +94,7 @@ crate::debug_as_display!(OpenError);
 
 impl OpenError {
     /// The socket of this bus could not be opened at this address.
+    #[doc(hidden)]
     pub fn bind(bus: &str, address: SocketAddrV4, source: std::io::Error) -> OpenError {
         let remedy = match source.kind() {
             ErrorKind::AddrInUse => {

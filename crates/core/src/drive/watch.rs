@@ -16,8 +16,8 @@
 //!   demand of that time: the demand of the report, less the way at its velocity in the age of the position.
 //! - **Rest**: while the axis has power, nothing moves it that nobody commands, be it idle, holding, or latched. A late
 //!   duplicate of an old request, a parameter write, another master or the drive's own program can move a drive whose
-//! commands have all ended. What is left of an ended motion only decays: a speed that rises again, or that lasts, is a
-//! motion of its own.
+//!   commands have all ended. What is left of an ended motion only decays: a speed that rises again, or that lasts, is
+//!   a motion of its own.
 
 use crate::axis::{AxisPlan, DriveStatus, Unit, Units};
 use crate::bus::Slot;

@@ -255,8 +255,8 @@ impl KollmorgenDrive {
         if let Some(start) = long.filter(|_| self.family == Family::S700) {
             found.wrong("start_up", too_long(start));
         }
-        let trips = "a drive whose watchdog trips, or that loses the cycle (F28), stops and then switches its \
-                     power off";
+        let trips = "a drive whose watchdog trips, or that loses the cycle (F28), stops and then switches \
+                     its power off";
         found.extend(self.axis.dropped_fault(trips));
         for Entry { object, .. } in self.show.iter().flatten().filter(|entry| entry.kind.is_string()) {
             found.wrong("monitor", format!("{object} is a text; monitor objects with numbers"));

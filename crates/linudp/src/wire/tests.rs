@@ -1,5 +1,5 @@
-//! Golden telegrams and every combination of blocks. Any bytes and any padding, and what is understood of them, are those
-//! of the fuzz target `telegram`.
+//! Golden telegrams and every combination of blocks. Any bytes and any padding, and what is understood of them, are
+//! those of the fuzz target `telegram`.
 
 use super::*;
 

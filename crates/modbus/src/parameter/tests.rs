@@ -1,5 +1,5 @@
-//! Addresses of the guides and of masters in the field, every address there and back, and the catalogue. Any text and any
-//! value are those of the fuzz target `modbus_wire`.
+//! Addresses of the guides and of masters in the field, every address there and back, and the catalogue. Any text and
+//! any value are those of the fuzz target `modbus_wire`.
 
 use super::*;
 

@@ -1,5 +1,5 @@
-//! Curves as files: the sample, and every mistake. Any text, and whatever a drive may hold, are those of the fuzz target
-//! `files`.
+//! Curves as files: the sample, and every mistake. Any text, and whatever a drive may hold, are those of the fuzz
+//! target `files`.
 
 use super::*;
 

@@ -1,5 +1,5 @@
-//! Tables as files: what a drive holds beside its commands, and every mistake. Any text, and whatever a drive may hold, are
-//! those of the fuzz target `files`.
+//! Tables as files: what a drive holds next to its commands, and every mistake. Any text, and whatever a drive may
+//! hold, are those of the fuzz target `files`.
 
 use super::*;
 use crate::motion::{Bits, MotionCommand};
