@@ -69,6 +69,7 @@ impl Outbox {
     }
 
     /// The built bytes of message `index`.
+    #[inline]
     pub fn bytes(&self, index: usize) -> &[u8] {
         &self.bytes[index * self.room..][..self.messages[index].length]
     }
