@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use fieldbeat::Master;
 
-use super::support::{LONG, Machine, drive, run};
+use super::support::{LONG, Machine, drive, run, until};
 use super::{ask, await_online, finish, master, online, patient_cycle, simulation, wires};
 
 /// Link health that no busy host comes to the end of.
@@ -51,9 +51,16 @@ fn refused(config: &Path) -> String {
     Master::from_file(config).unwrap().start().map(drop).unwrap_err().to_string()
 }
 
+/// A master of this process. What another one has just closed stays in use for a moment: a program that another test
+/// starts meanwhile has it until it is loaded.
 #[track_caller]
 fn started(config: &Path) -> Master {
-    let master = Master::from_file(config).unwrap().start().unwrap();
+    let mut started = None;
+    until(LONG, || {
+        started = Some(Master::from_file(config).unwrap().start());
+        !matches!(&started, Some(Err(error)) if error.to_string().contains("Address already in use"))
+    });
+    let master = started.unwrap().unwrap();
     master.wait_online(LONG).unwrap();
     master
 }
