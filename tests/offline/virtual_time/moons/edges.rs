@@ -21,6 +21,46 @@ fn no_absolute_move_fails_although_a_third_of_all_packets_is_lost() {
     }
 }
 
+/// All idle packets before it are lost: it is no edge behind the command before.
+#[test]
+fn a_motion_without_an_edge_is_sent_again() {
+    let stop = Command::Stop { deceleration: None };
+    for (before, word, motion) in [
+        (go(1.0), command::MOVE_ABSOLUTE, go(2.0)),
+        (stop, command::STOP, jog(3.0)),
+        (jog(3.0), command::JOG_SPEED, jog(1.0)),
+    ] {
+        let mut m = Moons::with(vec![drive(0)], |settings| settings.firmware.edges = Edges::Strict);
+        m.ready();
+        m.done(0, go(1.0));
+        if word != command::MOVE_ABSOLUTE {
+            m.post(0, jog(2.0));
+            m.run(300);
+        }
+        m.post(0, before);
+        while m.came(0, 0).last().is_none_or(|came| came.word != word) {
+            m.run(1);
+        }
+        m.taps[0].lock().lose = Some((command::IDLE, u32::MAX));
+        m.run(20);
+        m.until("its end", 200, |sim| word == command::JOG_SPEED || !sim.feedback(0).status.moving);
+        let count = m.count(0);
+        m.post(0, motion);
+        while m.count(0) == count {
+            m.run(1);
+        }
+        m.taps[0].lock().lose = None;
+        let arrived = |m: &Moons| match (motion, m.feedback(0).status) {
+            (Command::Jog(jog), status) => (status.velocity - jog.velocity).abs() < 0.05,
+            (_, status) => (status.demand - 2.0).abs() < 0.001,
+        };
+        assert!(!arrived(&m), "{motion:?}: it was no edge");
+        m.run(1_500);
+        assert!(arrived(&m), "{motion:?}: {:?}", m.truth(0));
+        assert!(m.feedback(0).stopped.is_none());
+    }
+}
+
 /// The drive ends a jog at its limit switch while another speed is under way to it, or is sent for the second time.
 #[test]
 fn another_speed_never_begins_a_jog_that_the_drive_has_ended() {
