@@ -102,10 +102,9 @@ impl NativeBytes {
         }
     }
 
-    /// Replaces them by the newest inputs, if these were taken in after `since`. Returns when they were.
+    /// Takes the newest inputs, if these were taken in after `since`. Returns when they were.
     #[inline]
     pub fn take(&mut self, inputs: &dyn Inputs, since: Time) -> Option<Time> {
-        self.clear();
         let received_at = inputs.put(since, self);
         self.inputs = self.length;
         received_at
@@ -210,6 +209,7 @@ mod tests {
             (WantedOutputs::WithInputs, Time(0), (2, vec![1, 2, 3, 4, 5])),
             (WantedOutputs::Always, Time(1), (0, vec![3, 4, 5])),
         ] {
+            all.clear();
             let received_at = all.take(&Two, since);
             assert_eq!(received_at.is_some(), since < Time(1));
             if wanted.is_now(received_at) {

@@ -132,6 +132,7 @@ impl Parts<'_> {
                 Moment::Received => WantedOutputs::Always,
             };
             open.is_at_work = true;
+            bytes.clear();
             let inputs = open.bus.inputs(chosen.index);
             let received_at = inputs.and_then(|inputs| bytes.take(inputs, chosen.received_at));
             if outputs.is_now(received_at) {
