@@ -400,6 +400,7 @@ impl Capabilities {
         }
     }
 }
+
 /// An intent that counts as accepted by its delivery: an exchange after the one that carried it was answered, while
 /// outputs count.
 #[derive(Clone, Copy, Debug, Default)]

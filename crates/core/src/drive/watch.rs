@@ -1,5 +1,5 @@
 //! The watch over one axis by the reports of its drive: which of them it can have reached, and what it does that it
-//! must not. Of every report that counts one sample is kept.
+//! must not. Of every report that counts, and can be no older one, one sample is kept.
 //!
 //! - **Reach**: a place that lies farther from the last one than any motion of the axis leads proves nothing by itself.
 //!   On a wire without sequence numbers such a report is an old one that came once more; on any other a damaged one, or

@@ -219,7 +219,7 @@ impl Service {
         if self.calls.is_unsettled() {
             return self.start(now, By::Nobody, Sdo::read(DEVICE_TYPE, false));
         }
-        let Some(posted) = self.calls.next(0) else { return };
+        let Some(posted) = self.calls.next(1) else { return };
         let call = posted.call;
         let sdo = match (call.service, Target::unpack(call.address)) {
             (object::READ, Some(Target { object, kind, complete })) => (Sdo::read(object, complete), kind),

@@ -401,6 +401,8 @@ impl DriveController {
             // It may be an older one: it is shown, if the axis can have been there, and is no measure for the next one.
             return if weight == Weight::Counts { weight } else { Weight::Held };
         }
+        // Its reference is void: the way there was no motion.
+        sample.homed &= !matches!(weight, Weight::Jumped(_));
         self.watch.take(sample, weight);
         match weight {
             Weight::Held => counters.implausible += 1,
