@@ -418,7 +418,8 @@ fn drive() -> Found {
     Bench::start(6, Realtime::Require, Guard::Off).disturb(ROUNDS, |bench| {
         let from = MonotonicClock::read();
         bench.second.signal(SIGSTOP);
-        sleep(Duration::from_nanos(2 * PERIOD_NS));
+        // A reply counts for two periods.
+        sleep(Duration::from_nanos(4 * PERIOD_NS));
         bench.second.signal(SIGCONT);
         (from, MonotonicClock::read())
     })
