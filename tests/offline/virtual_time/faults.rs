@@ -111,12 +111,11 @@ fn two_groups_may_stop_in_one_cycle_and_others_go_on() {
     assert_eq!(stopped, [lost, along, lost, along, None, None]);
 }
 
-/// How it stops every axis, and how that opens, stands in `latches`.
 #[test]
-fn a_task_that_panicked_is_not_called_again_and_the_loop_goes_on() {
+fn a_task_that_panics_stops_every_axis_and_the_loop_goes_on() {
     let runs = Arc::new(AtomicU64::new(0));
     let count = Arc::clone(&runs);
-    let mut b = Rig::new(1)
+    let mut b = Rig::new(2)
         .task(move |cycle, _| {
             count.fetch_add(1, Ordering::Relaxed);
             // Quietly: the message of a panic is not this test's.
@@ -125,8 +124,16 @@ fn a_task_that_panicked_is_not_called_again_and_the_loop_goes_on() {
             }
         })
         .ready();
-    b.run(2_000 - b.feedback(0).cycle);
-    assert_eq!(runs.load(Ordering::Relaxed), 901);
+    let ids: Vec<_> = (0..2).map(|index| b.post(index, slowly_to(100.0))).collect();
+    b.run(900 - b.feedback(0).cycle);
+    for (index, id) in ids.into_iter().enumerate() {
+        assert_eq!(b.aborted(index, id), Abort::Stopped(StopCause::Task));
+        assert_eq!(b.feedback(index).stopped, Some(StopCause::Task));
+        b.until("off", 500, |b| !b.feedback(index).status.state.is_powered());
+    }
+    assert_eq!(runs.load(Ordering::Relaxed), 901, "it is not called again");
+    b.recover(0);
+    b.done(0, to(5.0));
     b.assert_grid();
 }
 
