@@ -52,7 +52,7 @@ enum State {
     /// Stopped, and left alone until that cycle.
     Resting(u64),
     /// Its fault went away: what was lost before is missed once its reply is overdue, by that cycle.
-    Mended(u64),
+    Fixed(u64),
 }
 
 /// What the in-loop task shall do next, and when it did.
@@ -257,7 +257,7 @@ impl Machine {
         assert_eq!(self.tap.lost(), 0);
         for (axis, event) in std::mem::take(&mut self.b.events) {
             let faulty = |lane: &Lane| {
-                matches!(lane.state, State::Injected(_) | State::Mended(_)) && lane.axes.contains(&axis)
+                matches!(lane.state, State::Injected(_) | State::Fixed(_)) && lane.axes.contains(&axis)
             };
             let expected = self.all || self.lanes.iter().any(faulty);
             let watch = &mut self.watches[axis];
@@ -319,9 +319,9 @@ impl Machine {
                     let overdue = axes
                         .iter()
                         .map(|axis| u64::from(self.b.drives[*axis].replies_within()) * self.divisor(*axis));
-                    State::Mended(self.now() + overdue.max().unwrap_or(0))
+                    State::Fixed(self.now() + overdue.max().unwrap_or(0))
                 }
-                State::Mended(until) if self.now() > until => State::Clearing,
+                State::Fixed(until) if self.now() > until => State::Clearing,
                 state => state,
             };
         }
