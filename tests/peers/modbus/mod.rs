@@ -1,6 +1,6 @@
 //! Modbus TCP: two other implementations, libmodbus and pymodbus, at either end, and Wireshark's dissector in between.
 //!
-//! `programs` are their servers and clients, told by lines what to do. Both servers have one register for each address,
+//! `programs` are their servers and clients, run by lines of text. Both servers have one register for each address,
 //! where a drive has one parameter: what is exchanged with them must not overlap, so that of 32-bit parameters next to
 //! each other only every second one is used.
 

@@ -181,7 +181,7 @@ pub(super) struct Watch {
     /// ... of as many that prove it; the newest of them says these.
     pub proof: u8,
     pub said: Losses,
-    /// The position has jumped: what the drive says of its reference does not count until it homes, or starts anew.
+    /// The position has jumped: what the drive says of its reference does not count until it homes or restarts.
     pub unreferenced: bool,
     /// So many reports in a row did not count.
     held_for: u8,
@@ -345,10 +345,10 @@ impl Watch {
             return Weight::Held;
         };
         let passed_ns = new.sent_at.since(from.sent_at) as f64;
-        let plausible = |told: f64, way: f64| {
+        let plausible = |reported: f64, way: f64| {
             let own = if passed_ns > 0.0 { way / passed_ns } else { 0.0 };
-            match told.abs() > speed * 1e9 {
-                false => told,
+            match reported.abs() > speed * 1e9 {
+                false => reported,
                 true => {
                     if own.abs() <= speed {
                         own * 1e9

@@ -1,4 +1,4 @@
-//! What is wrong with a plan, and how it is told, stands in `tests/offline/config`.
+//! What is wrong with a plan, and its message, stands in `tests/offline/config`.
 
 use std::any::Any;
 

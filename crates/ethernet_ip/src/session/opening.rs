@@ -68,7 +68,7 @@ impl Form {
         self.repeated = false;
     }
 
-    /// The drive refused it. True if another form is left to be tried at once; else it begins anew after a pause.
+    /// The drive refused it. True if another form is left to be tried at once; else it starts again after a pause.
     pub(super) fn refused(&mut self, access: Access, status: &Status) -> bool {
         let next = match status.failure() {
             None if status.general == Status::NO_SERVICE && !self.large => {

@@ -85,7 +85,7 @@ fn no_speed_is_made_by_what_is_no_motion_or_was_held_up() {
     for (what, most, samples) in [
         ("neither the begin nor the end of a torque", 0.0, torques.collect::<Vec<_>>()),
         (
-            "a position that is told again",
+            "a position that is reported again",
             100.0,
             again.map(|(at, ms)| Sample { homed: false, ..sample(ms, ms, at) }).collect(),
         ),
@@ -125,7 +125,7 @@ fn a_drive_without_a_position_is_watched_by_its_speed_in_both_directions() {
 }
 
 #[test]
-fn a_speed_or_a_position_that_is_not_told_is_not_inside_its_limits() {
+fn a_speed_or_a_position_that_is_not_reported_is_not_inside_its_limits() {
     let mut without = unranged();
     without.limits.velocity = None;
     for (what, plan, sample, velocity, broken) in [
