@@ -14,7 +14,7 @@ use fieldbeat::bus::ethercat::{EthercatPlan, Family, KollmorgenDrive};
 use fieldbeat::bus::ethernet_ip::{EthernetIpPlan, Explicit, Homing, HomingMethod, MoonsDrive};
 use fieldbeat::bus::linudp::motion::{Acceleration, MotionCommand, Position, Velocity};
 use fieldbeat::bus::linudp::{ControlWord, ErrorCode, LinUdpDrive, ReplyTag};
-use fieldbeat::bus::modbus::{ModbusPlan, Trip, UnidriveDrive, Via};
+use fieldbeat::bus::modbus::{ModbusPlan, Parameter, Trip, UnidriveDrive, Via};
 use fieldbeat::bus::profibus::{DriveProfile, LenzeDrive, Numbers, ParameterPath, ProfibusPlan};
 use fieldbeat::sim::ethercat::{EthercatSegment, EthercatSim};
 use fieldbeat::sim::ethernet_ip::{ClockSettings, Edges, MoonsSettings, MoonsSim};
@@ -518,8 +518,13 @@ impl Held {
             Kind::Unidrive => {
                 let drives: Vec<_> = places.map(|index| unidrive(index, shape)).collect();
                 if fresh {
-                    let settings =
-                        |drive| UnidriveSettings { ramps_s: (0.005, 0.005), ..UnidriveSettings::new(drive) };
+                    // Half of them were commissioned to follow the control word, which they keep when they restart.
+                    let kept = shape.hold.then_some((Parameter::CONTROL_WORD_ENABLE, 1));
+                    let settings = |drive| UnidriveSettings {
+                        ramps_s: (0.005, 0.005),
+                        commissioned: kept.into_iter().collect(),
+                        ..UnidriveSettings::new(drive)
+                    };
                     let drive = |plan: &UnidriveDrive| {
                         tap(Drive::Unidrive(UnidriveSim::new(settings(plan.address)).into()))
                     };
