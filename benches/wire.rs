@@ -491,8 +491,8 @@ impl Following {
                 BUS_NOW.fetch_add(40 * US, Ordering::Relaxed);
                 self.bus.receive(&self.cycle, &mut self.slots);
             }
-            match self.bus.poll_at() {
-                Some(at) if at < self.cycle.deadline => {
+            match self.bus.waits(&self.cycle, &self.slots).poll_at {
+                at if at < self.cycle.deadline => {
                     if rig::is_reply_waiting() {
                         continue;
                     }

@@ -10,7 +10,7 @@ use fieldbeat::{Cycle, OpenError, Time};
 use fieldbeat_core::bus::counters::BusNumbers;
 use fieldbeat_core::bus::desired::{Desired, Intent, Mode, Motion, Power};
 use fieldbeat_core::bus::native::Inputs;
-use fieldbeat_core::bus::{Bus, Opened, Slot};
+use fieldbeat_core::bus::{Bus, Opened, Slot, Waits};
 use fieldbeat_core::net::Carriers;
 use fieldbeat_core::rt::Regions;
 
@@ -118,13 +118,11 @@ impl Bus for Proposing {
         fn fd(&self) -> Option<RawFd>;
         fn send(&mut self, cycle: &Cycle, slots: &mut [Slot]);
         fn receive(&mut self, cycle: &Cycle, slots: &mut [Slot]);
-        fn poll_at(&self) -> Option<Time>;
         fn poll(&mut self, cycle: &Cycle, now: Time, slots: &mut [Slot]);
-        fn waited_for(&self, cycle: &Cycle, slots: &[Slot]) -> usize;
+        fn waits(&self, cycle: &Cycle, slots: &[Slot]) -> Waits;
         fn shut_down(&mut self, cycle: &Cycle, slots: &mut [Slot]) -> bool;
         fn numbers(&self) -> BusNumbers;
-        fn inputs(&self, index: usize) -> Option<&dyn Inputs>;
-        fn outputs(&self, index: usize) -> &[u8];
+        fn native(&self, index: usize) -> Option<(&dyn Inputs, &[u8])>;
         fn helper_ended(&self) -> bool;
         fn lead(&mut self);
         fn phase_error(&mut self) -> Option<i64>;

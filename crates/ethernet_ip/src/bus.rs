@@ -232,12 +232,9 @@ impl Bus for EthernetIpBus {
         }
     }
 
-    fn inputs(&self, index: usize) -> Option<&dyn Inputs> {
-        self.stations.get(index).map(|station| station.native() as &dyn Inputs)
-    }
-
-    fn outputs(&self, index: usize) -> &[u8] {
-        Outgoing::outputs(self.outbox.bytes(index)).unwrap_or_default()
+    fn native(&self, index: usize) -> Option<(&dyn Inputs, &[u8])> {
+        let inputs = self.stations.get(index)?.native();
+        Some((inputs, Outgoing::outputs(self.outbox.bytes(index)).unwrap_or_default()))
     }
 
     fn shut_down(&mut self, cycle: &Cycle, slots: &mut [Slot]) -> bool {

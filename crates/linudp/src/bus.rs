@@ -19,7 +19,7 @@ use fieldbeat_core::bus::notes::NoteCells;
 use fieldbeat_core::bus::variant::Variant;
 use fieldbeat_core::bus::{
     Bus, BusFacts, BusNumbers, BusPlan, Cycle, DriveFacts, Ends, Exchange, Grid, LastResort, Notes,
-    OpenError, Opened, ReplyWithin, Slot, Unmatched, drives,
+    OpenError, Opened, ReplyWithin, Slot, Unmatched, Waits, drives,
 };
 use fieldbeat_core::net::{self, Carriers, Datagrams, Lock, Outbox, Sent, UdpOptions};
 use fieldbeat_core::rt::Regions;
@@ -197,12 +197,12 @@ impl Bus for LinUdpBus {
         self.take_in(true, slots);
     }
 
-    fn waited_for(&self, cycle: &Cycle, slots: &[Slot]) -> usize {
+    fn waits(&self, cycle: &Cycle, slots: &[Slot]) -> Waits {
         let of = |slot: &Slot| {
             let earlier = if slot.has_earlier { slot.earlier.waited_for(cycle) } else { 0 };
             usize::from(slot.exchange.is_waited_for(cycle)) + earlier
         };
-        slots.iter().map(of).sum()
+        Waits::for_replies(slots.iter().map(of).sum())
     }
 
     fn prepare(&mut self, cycle: &Cycle, slots: &mut [Slot]) {
@@ -214,12 +214,9 @@ impl Bus for LinUdpBus {
         }
     }
 
-    fn inputs(&self, index: usize) -> Option<&dyn Inputs> {
-        self.stations.get(index).map(|station| station.native() as &dyn Inputs)
-    }
-
-    fn outputs(&self, index: usize) -> &[u8] {
-        self.outbox.bytes(index)
+    fn native(&self, index: usize) -> Option<(&dyn Inputs, &[u8])> {
+        let inputs = self.stations.get(index)?.native();
+        Some((inputs, self.outbox.bytes(index)))
     }
 
     fn shut_down(&mut self, _cycle: &Cycle, slots: &mut [Slot]) -> bool {

@@ -218,12 +218,9 @@ impl Bus for ModbusBus {
         }
     }
 
-    fn inputs(&self, index: usize) -> Option<&dyn Inputs> {
-        self.stations.get(index).map(|station| station as &dyn Inputs)
-    }
-
-    fn outputs(&self, index: usize) -> &[u8] {
-        self.stations.get(index).map_or(&[], Station::sent_request)
+    fn native(&self, index: usize) -> Option<(&dyn Inputs, &[u8])> {
+        let station = self.stations.get(index)?;
+        Some((station, station.sent_request()))
     }
 
     fn shut_down(&mut self, cycle: &Cycle, slots: &mut [Slot]) -> bool {

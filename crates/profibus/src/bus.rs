@@ -21,7 +21,7 @@ use super::other::Others;
 use super::plan::{LenzeDrive, ProfibusPlan};
 use super::station::Station;
 use fieldbeat_core::bus::native::Inputs;
-use fieldbeat_core::bus::{Bus, BusNumbers, Cycle, Ends, Exchange, OpenError, Opened, Slot, Unmatched};
+use fieldbeat_core::bus::{Bus, BusNumbers, Cycle, Ends, Exchange, OpenError, Opened, Slot, Unmatched, Waits};
 use fieldbeat_core::net::{Broken, Carriers, Lock, Place, Serial};
 use fieldbeat_core::rt::Regions;
 use fieldbeat_core::time::Time;
@@ -204,14 +204,12 @@ impl Bus for ProfibusBus {
         self.take_in(slots);
     }
 
-    fn poll_at(&self) -> Option<Time> {
-        let at = self.line.look_at(!self.queue.is_empty() || self.upkeep.is_round_over())?;
-        if self.intervals.is_empty() { Some(at) } else { Some(at.max(self.next_turn_at())) }
-    }
-
-    fn waited_for(&self, cycle: &Cycle, slots: &[Slot]) -> usize {
-        let waits = self.line.waits_for().and_then(|index| slots.get(usize::from(index)));
-        usize::from(waits.is_some_and(|slot| slot.exchange.is_waited_for(cycle)))
+    fn waits(&self, cycle: &Cycle, slots: &[Slot]) -> Waits {
+        let owed = self.line.waits_for().and_then(|index| slots.get(usize::from(index)));
+        let replies = owed.is_some_and(|slot| slot.exchange.is_waited_for(cycle)).into();
+        let at = self.line.look_at(!self.queue.is_empty() || self.upkeep.is_round_over());
+        let at = at.map(|at| if self.intervals.is_empty() { at } else { at.max(self.next_turn_at()) });
+        Waits { replies, poll_at: at.unwrap_or(Waits::NEVER) }
     }
 
     fn poll(&mut self, cycle: &Cycle, now: Time, slots: &mut [Slot]) {
@@ -227,12 +225,9 @@ impl Bus for ProfibusBus {
         }
     }
 
-    fn inputs(&self, index: usize) -> Option<&dyn Inputs> {
-        self.stations.get(index).map(|station| station.native() as &dyn Inputs)
-    }
-
-    fn outputs(&self, index: usize) -> &[u8] {
-        self.stations.get(index).map_or(&[], Station::sent_outputs)
+    fn native(&self, index: usize) -> Option<(&dyn Inputs, &[u8])> {
+        let station = self.stations.get(index)?;
+        Some((station.native(), station.sent_outputs()))
     }
 
     fn shut_down(&mut self, cycle: &Cycle, slots: &mut [Slot]) -> bool {

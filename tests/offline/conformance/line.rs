@@ -10,7 +10,7 @@ use fieldbeat::bus::BusPlan;
 use fieldbeat::sim::{FaultPlan, World, WorldOptions};
 use fieldbeat::telemetry::Unmatched;
 use fieldbeat::time::{MS, Time, US};
-use fieldbeat_core::bus::{Bus, DriveFacts, Ends, Exchange, Grid, Opened, ReplyWithin, Slot};
+use fieldbeat_core::bus::{Bus, DriveFacts, Ends, Exchange, Grid, Opened, ReplyWithin, Slot, Waits};
 use fieldbeat_core::drive::machine::{Machine, NumberedRow};
 use fieldbeat_core::rt::{Clock, PollSet};
 use fieldbeat_sim::world::WorldClock;
@@ -235,16 +235,16 @@ impl Line {
         let left =
             self.slots.iter().zip(&before).filter(|(slot, b)| slot.counters.sent > b.counters.sent).count();
         assert!(left <= 1 && (left == 0 || self.wire.log().sends > sends), "one request at a time");
-        assert!(self.bus.poll_at().is_none_or(|at| at > now), "polled at {now}");
+        assert!(self.bus.waits(&cycle, &self.slots).poll_at > now, "polled at {now}");
         self.note_sent(&before);
         self.accounts();
     }
 
     /// When the bus wants to be polled in this window.
     fn poll_at(&self) -> Option<Time> {
-        let at = self.bus.poll_at();
-        assert!(at.is_none() || self.can.half_duplex, "nothing but a reply ends what it waits for");
-        at.filter(|at| *at < self.cycle().deadline)
+        let at = self.bus.waits(&self.cycle(), &self.slots).poll_at;
+        assert!(at == Waits::NEVER || self.can.half_duplex, "nothing but a reply ends what it waits for");
+        Some(at).filter(|at| *at < self.cycle().deadline)
     }
 
     /// Takes in what has come. True if the window has nothing more to wait for.

@@ -44,7 +44,7 @@ pub trait LastResort: std::fmt::Debug + Send {
 /// - **The drive's own clock** (EtherNet/IP class 1): [`OwnClock`](Exchange::OwnClock), which no packet answers; no
 ///   round trip, and not suspect. `ReplyWithin::OwnClock`.
 /// - **Half duplex** (PROFIBUS DP): [`Queued`](Exchange::Queued) until its turn, then owed, and absent if its reply is
-///   overdue. [`poll_at`](Bus::poll_at), [`poll`](Bus::poll), `ReplyWithin::Turn`.
+///   overdue. [`Waits::poll_at`], [`poll`](Bus::poll), `ReplyWithin::Turn`.
 pub trait Bus: Send {
     /// Adds the memory that the bus touches on the real-time thread, to be locked with `memory = "own"`.
     fn memory(&self, regions: &mut Regions);
@@ -66,31 +66,22 @@ pub trait Bus: Send {
     fn send(&mut self, cycle: &Cycle, slots: &mut [Slot]);
 
     /// Takes in what has arrived, up to a bounded amount. Never waits, sends nothing. Not called in a cycle whose
-    /// window waits for nothing: it is open while an exchange [is waited for](Exchange::is_waited_for), and for
-    /// [`poll_at`](Bus::poll_at). Nor is it called where a wait has found nothing to read, or while only other buses
-    /// miss a reply. What the window does not wait for, as the reply of a slow drive, is taken in by the next
-    /// `receive` or `send`.
+    /// window [waits](Bus::waits) for nothing. Nor is it called where a wait has found nothing to read, or while only
+    /// other buses miss a reply. What the window does not wait for, as the reply of a slow drive, is taken in by the
+    /// next `receive` or `send`.
     fn receive(&mut self, cycle: &Cycle, slots: &mut [Slot]);
 
-    /// When [`poll`](Bus::poll) is to be called, whatever the descriptor shows: when the reply on a half-duplex wire is
-    /// overdue, or its idle time is over. The window stays open for it, up to its deadline. `None`: the descriptor
-    /// shows all that has to be waited for. Queried after other calls only, of a bus whose drives have
-    /// `ReplyWithin::Turn`.
-    fn poll_at(&self) -> Option<Time> {
-        None
+    /// What the window of `cycle` is open for. Queried after each call that may change it: one that knows which
+    /// exchange it is need not look at all slots.
+    fn waits(&self, cycle: &Cycle, slots: &[Slot]) -> Waits {
+        Waits::for_replies(slots.iter().filter(|slot| slot.exchange.is_waited_for(cycle)).count())
     }
 
-    /// The time of [`poll_at`](Bus::poll_at) has come: it is `now`, before the deadline. If it was near, nobody has
-    /// looked for what arrived since the last `receive`. On a half-duplex wire an exchange whose reply is overdue ends
-    /// as absent, and once the wire is free the next queued request leaves, with its own stamp. Afterwards `poll_at` is
-    /// later than `now`, or none.
+    /// The time of [`Waits::poll_at`] has come: it is `now`, before the deadline. If it was near, nobody has looked for
+    /// what arrived since the last `receive`. On a half-duplex wire an exchange whose reply is overdue ends as absent,
+    /// and once the wire is free the next queued request leaves, with its own stamp. Afterwards `poll_at` is later than
+    /// `now`, or none.
     fn poll(&mut self, _cycle: &Cycle, _now: Time, _slots: &mut [Slot]) {}
-
-    /// For how many exchanges the window of `cycle` [waits](Exchange::is_waited_for). One that knows which it is need
-    /// not look at all slots: on a half-duplex wire this is queried after each telegram.
-    fn waited_for(&self, cycle: &Cycle, slots: &[Slot]) -> usize {
-        slots.iter().filter(|slot| slot.exchange.is_waited_for(cycle)).count()
-    }
 
     /// Builds the requests of the slots that are due at the next send, and of those that are queued, in place, from
     /// what is now desired in them. May be called more than once for the same send, with the same bytes as the result,
@@ -105,15 +96,10 @@ pub trait Bus: Send {
     /// What it counts of itself, and the state of its clock. Queried now and then.
     fn numbers(&self) -> BusNumbers;
 
-    /// The newest native inputs of drive `index`; `None`: it has none.
-    fn inputs(&self, _index: usize) -> Option<&dyn Inputs> {
+    /// The newest native inputs of drive `index`, and what the request that left last has carried to it: it is there in
+    /// the cycle in which that left, before the next one is prepared. `None`: it has none.
+    fn native(&self, _index: usize) -> Option<(&dyn Inputs, &[u8])> {
         None
-    }
-
-    /// What the request that left last has carried to drive `index`: it is there in the cycle in which that left,
-    /// before the next one is prepared.
-    fn outputs(&self, _index: usize) -> &[u8] {
-        &[]
     }
 
     /// The thread outside of the loop that this bus depends on has ended unexpectedly: its axes are stopped. Queried
@@ -130,6 +116,27 @@ pub trait Bus: Send {
     /// a cycle, `None` from a cycle that was not answered. Taken after the window; each value is returned once.
     fn phase_error(&mut self) -> Option<i64> {
         None
+    }
+}
+
+/// What the window waits for on a bus.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Waits {
+    /// So many replies [are waited for](Exchange::is_waited_for), or one frame that carries all of them.
+    pub replies: usize,
+    /// When [`Bus::poll`] is to be called, whatever the descriptor shows: when the reply on a half-duplex wire is
+    /// overdue, or its idle time is over. The window stays open for it, up to its deadline. [`NEVER`](Waits::NEVER):
+    /// the descriptor shows all that has to be waited for.
+    pub poll_at: Time,
+}
+
+impl Waits {
+    /// No poll is wanted.
+    pub const NEVER: Time = Time(u64::MAX);
+
+    /// For so many replies, which the descriptor shows.
+    pub const fn for_replies(replies: usize) -> Waits {
+        Waits { replies, poll_at: Waits::NEVER }
     }
 }
 

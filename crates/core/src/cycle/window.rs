@@ -8,7 +8,7 @@
 use super::plan::Wait;
 use super::status::BusInfo;
 use crate::axis::cell::Writer;
-use crate::bus::{Bus, BusNumbers, Cycle, Slot};
+use crate::bus::{Bus, BusNumbers, Cycle, Slot, Waits};
 use crate::inputs::InputLog;
 use crate::rt::{Clock, PollSet, Regions, Wires};
 use crate::time::{Time, US};
@@ -26,24 +26,12 @@ pub struct Window {
     /// One of the buses wants to be polled.
     polls: bool,
     poll_set: PollSet,
-    /// What each bus waits for.
+    /// What each bus waits for, as of the last call of it.
     waits: Box<[Waits]>,
     /// The learned time from the first look that found replies to the last reply, ns: a sufficient nap makes it a
     /// sixteenth shorter, one that was too short a quarter longer.
     nap_ns: u64,
 }
-
-/// What a bus waits for, as of the last call of it.
-#[derive(Clone, Copy, Debug)]
-struct Waits {
-    /// So many replies.
-    missing: usize,
-    /// It wants to be polled then; the end of time: not at all.
-    poll_at: Time,
-}
-
-/// No poll is wanted.
-const NEVER: Time = Time(u64::MAX);
 
 /// An open bus, its slots, and the outlets of its numbers.
 pub struct OpenBus {
@@ -127,14 +115,10 @@ impl OpenBus {
         self.gate.wires.memory(regions);
     }
 
-    /// For how many replies of the bus the window still waits: one for each exchange, or one frame for all of them.
+    /// What the window waits for on the bus.
     #[inline]
-    fn missing(&self, cycle: &Cycle, slots: &[Slot]) -> usize {
-        let slots = &slots[self.first..self.end];
-        match self.is_one_frame {
-            true => usize::from(slots.iter().any(|slot| slot.exchange.is_waited_for(cycle))),
-            false => self.bus.waited_for(cycle, slots),
-        }
+    pub fn waits(&self, cycle: &Cycle, slots: &[Slot]) -> Waits {
+        self.bus.waits(cycle, &slots[self.first..self.end])
     }
 
     /// Publishes the numbers of the bus.
@@ -156,7 +140,7 @@ impl Window {
             wait,
             polls: buses.iter().any(|open| open.is_polled),
             poll_set: PollSet::with_room(buses.len()),
-            waits: vec![Waits { missing: 0, poll_at: NEVER }; buses.len()].into(),
+            waits: vec![Waits::for_replies(0); buses.len()].into(),
             nap_ns: 4 * SHORTEST_NAP_NS,
         }
     }
@@ -195,7 +179,7 @@ impl Window {
     ) -> bool {
         let mut begin = Some(begin);
         for (place, open) in buses.iter().enumerate() {
-            self.note::<POLLS>(place, open, cycle, slots);
+            self.note(place, open, cycle, slots);
         }
         let (mut left, mut poll_at) = self.all::<POLLS>();
         let owed = left;
@@ -220,7 +204,7 @@ impl Window {
                         if open.exchange(slots, |bus, slots| bus.poll(cycle, now, slots)).is_none() {
                             return false;
                         }
-                        self.note::<POLLS>(place, open, cycle, slots);
+                        self.note(place, open, cycle, slots);
                     }
                 }
                 (left, poll_at) = self.all::<POLLS>();
@@ -230,7 +214,7 @@ impl Window {
             // One nap a window, once the first replies are in and more than one is missing. It would hold up a wire on
             // which each reply lets the next request leave.
             let nap =
-                !over && self.wait == Wait::Poll && !napped && left < owed && left > 1 && poll_at == NEVER;
+                !over && self.wait == Wait::Poll && !napped && left < owed && left > 1 && poll_at == Waits::NEVER;
             match self.wait {
                 _ if over => {}
                 Wait::Spin => clock.spin(),
@@ -249,14 +233,14 @@ impl Window {
             for (place, open) in buses.iter_mut().enumerate() {
                 let reads = match self.wait {
                     Wait::Poll if waited => self.poll_set.is_readable(place),
-                    Wait::Poll => self.waits[place].missing > 0 || open.is_polled,
+                    Wait::Poll => self.waits[place].replies > 0 || open.is_polled,
                     Wait::Spin => true,
                 };
                 if reads {
                     if open.exchange(slots, |bus, slots| bus.receive(cycle, slots)).is_none() {
                         return false;
                     }
-                    self.note::<POLLS>(place, open, cycle, slots);
+                    self.note(place, open, cycle, slots);
                 }
             }
             (left, poll_at) = self.all::<POLLS>();
@@ -272,19 +256,17 @@ impl Window {
 
     /// Notes what the bus waits for.
     #[inline]
-    fn note<const POLLS: bool>(&mut self, place: usize, open: &OpenBus, cycle: &Cycle, slots: &[Slot]) {
-        let poll_at = if POLLS && open.is_polled { open.bus.poll_at() } else { None };
-        let missing = open.missing(cycle, slots);
-        self.waits[place] = Waits { missing, poll_at: poll_at.unwrap_or(NEVER) };
+    fn note(&mut self, place: usize, open: &OpenBus, cycle: &Cycle, slots: &[Slot]) {
+        self.waits[place] = open.waits(cycle, slots);
     }
 
     /// What all of them wait for.
     #[inline]
     fn all<const POLLS: bool>(&self) -> (usize, Time) {
-        let left = self.waits.iter().map(|waits| waits.missing).sum();
+        let left = self.waits.iter().map(|waits| waits.replies).sum();
         let poll_at = match POLLS {
-            true => self.waits.iter().map(|waits| waits.poll_at).min().unwrap_or(NEVER),
-            false => NEVER,
+            true => self.waits.iter().map(|waits| waits.poll_at).min().unwrap_or(Waits::NEVER),
+            false => Waits::NEVER,
         };
         (left, poll_at)
     }
@@ -379,8 +361,9 @@ mod tests {
 
         fn prepare(&mut self, _: &Cycle, _: &mut [Slot]) {}
 
-        fn poll_at(&self) -> Option<Time> {
-            self.poll_at
+        fn waits(&self, cycle: &Cycle, slots: &[Slot]) -> Waits {
+            let replies = slots.iter().filter(|slot| slot.exchange.is_waited_for(cycle)).count();
+            Waits { replies, poll_at: self.poll_at.unwrap_or(Waits::NEVER) }
         }
 
         fn poll(&mut self, cycle: &Cycle, now: Time, _: &mut [Slot]) {

@@ -35,7 +35,7 @@ use fieldbeat_core::axis::{Feedback, Observer};
 use fieldbeat_core::bus::native::Inputs;
 use fieldbeat_core::bus::notes::NoteCells;
 use fieldbeat_core::bus::{
-    Bus, BusNumbers, Cycle, DeviceEnds, Ends, Exchange, OpenError, Opened, Slot, Unmatched,
+    Bus, BusNumbers, Cycle, DeviceEnds, Ends, Exchange, OpenError, Opened, Slot, Unmatched, Waits,
 };
 use fieldbeat_core::net::{Carriers, Frames, Lock};
 use fieldbeat_core::rt::{Regions, Wires};
@@ -266,13 +266,15 @@ impl Bus for EthercatBus {
         }
     }
 
-    fn inputs(&self, index: usize) -> Option<&dyn Inputs> {
-        self.drives.get(index).map(|drive| drive.station.profile.native() as &dyn Inputs)
+    fn waits(&self, cycle: &Cycle, slots: &[Slot]) -> Waits {
+        let is_out = slots.iter().any(|slot| slot.exchange.is_waited_for(cycle));
+        Waits::for_replies(is_out.into())
     }
 
-    fn outputs(&self, index: usize) -> &[u8] {
-        let Some(Outgoing { frame, range, .. }) = self.outgoing.get(index) else { return &[] };
-        self.image.frames().get(usize::from(*frame)).map_or(&[], |frame| frame.sent_outputs(range))
+    fn native(&self, index: usize) -> Option<(&dyn Inputs, &[u8])> {
+        let (drive, Outgoing { frame, range, .. }) = self.drives.get(index).zip(self.outgoing.get(index))?;
+        let frame = self.image.frames().get(usize::from(*frame))?;
+        Some((drive.station.profile.native(), frame.sent_outputs(range)))
     }
 
     fn shut_down(&mut self, cycle: &Cycle, slots: &mut [Slot]) -> bool {

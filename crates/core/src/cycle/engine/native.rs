@@ -133,12 +133,14 @@ impl Parts<'_> {
             };
             open.is_at_work = true;
             bytes.clear();
-            let inputs = open.bus.inputs(chosen.index);
-            let received_at = inputs.and_then(|inputs| bytes.take(inputs, chosen.received_at));
-            if outputs.is_now(received_at) {
-                bytes.put(open.bus.outputs(chosen.index));
-                chosen.sent_at = sent_at;
-            }
+            let received_at = open.bus.native(chosen.index).and_then(|(inputs, outgoing)| {
+                let received_at = bytes.take(inputs, chosen.received_at);
+                if outputs.is_now(received_at) {
+                    bytes.put(outgoing);
+                    chosen.sent_at = sent_at;
+                }
+                received_at
+            });
             open.is_at_work = false;
             next.received_ns = 0;
             if let Some(at) = received_at {

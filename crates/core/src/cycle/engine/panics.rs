@@ -252,9 +252,9 @@ impl<C: Clock> Engine<C> {
         let mut poll_set = PollSet::with_room(polled.len());
         for _ in 0..MOST_WAITS {
             let looks: Vec<_> = (polled.iter())
-                .filter_map(|bus| self.bus(*bus, |open, _| (open.bus.poll_at(), open.bus.fd())))
+                .filter_map(|bus| self.bus(*bus, |open, slots| (open.waits(cycle, slots).poll_at, open.bus.fd())))
                 .collect();
-            let at = looks.iter().filter_map(|(at, _)| *at).min();
+            let at = looks.iter().map(|(at, _)| *at).min();
             let Some(at) = at.filter(|at| *at < cycle.deadline) else { return };
             poll_set.fill(looks.iter().map(|(_, fd)| *fd));
             let clock = &mut self.clock;
@@ -271,7 +271,7 @@ impl<C: Clock> Engine<C> {
                 self.bus(*bus, |open, slots| {
                     open.exchange(slots, |bus, slots| {
                         bus.receive(cycle, slots);
-                        if bus.poll_at().is_some_and(|at| at <= now) {
+                        if bus.waits(cycle, slots).poll_at <= now {
                             bus.poll(cycle, now, slots);
                         }
                     })
