@@ -78,9 +78,11 @@ impl LinUdpBus {
         Ok(Opened { last_resort, ..Opened::new(bus, ends, notes) })
     }
 
-    /// Takes in what is in the socket and hands each datagram to the station of its sender.
-    fn take_in(&mut self, in_window: bool, slots: &mut [Slot]) {
+    /// Takes in what is in the socket and hands each datagram to the station of its sender. Returns whether a request
+    /// that was built does not hold any more.
+    fn take_in(&mut self, in_window: bool, slots: &mut [Slot]) -> bool {
         let LinUdpBus { net, stations, senders, unmatched, .. } = self;
+        let mut is_void = false;
         let is_taken = net::take_in(&mut **net, &mut |datagram| {
             let Some((index, is_its_port)) = senders.find(&datagram.from) else {
                 unmatched.datagrams += 1;
@@ -95,9 +97,22 @@ impl LinUdpBus {
                 slot.counters.malformed += 1;
             } else {
                 station.take(datagram.at, datagram.bytes, in_window, slot);
+                is_void |= station.is_void();
             }
         });
         unmatched.errors += u64::from(!is_taken);
+        is_void
+    }
+
+    /// Builds the requests again that do not hold any more.
+    #[cold]
+    fn prepare_again(&mut self, cycle: &Cycle, slots: &mut [Slot]) {
+        for (index, (station, slot)) in self.stations.iter_mut().zip(slots).enumerate() {
+            if slot.due && !self.is_ending && station.is_void() {
+                let length = station.prepare(cycle, slot, self.outbox.room(index));
+                self.outbox.set_length(index, length);
+            }
+        }
     }
 }
 
@@ -171,21 +186,15 @@ impl Bus for LinUdpBus {
     fn send(&mut self, cycle: &Cycle, slots: &mut [Slot]) {
         // A system call in each cycle, although usually nothing waits: a copy of an old reply that has come since the
         // last window would pass for the next reply, if the definitions of both are the same.
-        self.take_in(false, slots);
-        for (index, (station, slot)) in self.stations.iter_mut().zip(slots.iter_mut()).enumerate() {
-            let goes = slot.due && !self.is_ending;
-            if goes && station.is_void() {
-                let length = station.prepare(cycle, slot, self.outbox.room(index));
-                self.outbox.set_length(index, length);
-            }
-            self.outbox.post(index, goes);
-            if matches!(slot.exchange, Exchange::Owed { .. }) {
-                station.owe(slot);
-            }
+        if self.take_in(false, slots) {
+            self.prepare_again(cycle, slots);
         }
         self.net.send(&mut self.outbox);
         for (index, (station, slot)) in self.stations.iter_mut().zip(slots).enumerate() {
-            match self.outbox.sent(index) {
+            if matches!(slot.exchange, Exchange::Owed { .. }) {
+                station.owe(slot);
+            }
+            match self.outbox.take_sent(index) {
                 Sent::At(at) => station.sent(at, cycle, slot),
                 Sent::Failed(_) | Sent::Posted => slot.unsent(),
                 Sent::Idle => {}
@@ -207,10 +216,12 @@ impl Bus for LinUdpBus {
 
     fn prepare(&mut self, cycle: &Cycle, slots: &mut [Slot]) {
         for (index, (station, slot)) in self.stations.iter_mut().zip(slots).enumerate() {
-            if slot.due && !self.is_ending {
+            let goes = slot.due && !self.is_ending;
+            if goes {
                 let length = station.prepare(cycle, slot, self.outbox.room(index));
                 self.outbox.set_length(index, length);
             }
+            self.outbox.post(index, goes);
         }
     }
 

@@ -129,10 +129,10 @@ struct State {
 #[derive(Debug)]
 #[repr(C)]
 pub(super) struct Profile {
-    state: Prepared<State>,
     /// The control word of the prepared request, which has no other block; no row follows it, and no native output.
     control: Option<ControlWord>,
     only_control: bool,
+    state: Prepared<State>,
     voltage: Voltage,
     rules: Rules,
     /// For the last resort.

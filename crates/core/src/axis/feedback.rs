@@ -238,6 +238,14 @@ pub struct DriveStatus {
     pub monitor: [Option<f64>; MONITOR_CHANNELS],
 }
 
+impl DriveStatus {
+    /// Takes another report over, but for its monitored variables: not every report carries them.
+    #[inline]
+    pub(crate) fn take(&mut self, newer: &DriveStatus) {
+        *self = DriveStatus { monitor: self.monitor, ..*newer };
+    }
+}
+
 /// The newest feedback of one axis.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[non_exhaustive]

@@ -271,10 +271,10 @@ pub struct Slot {
     pub status: DriveStatus,
     /// What proves that the drive has what is desired.
     pub evidence: Evidence,
-    /// Exact counts of its exchanges.
-    pub counters: Counters,
     /// What the drive shall do from its next request on.
     pub desired: Desired,
+    /// Exact counts of its exchanges.
+    pub counters: Counters,
     /// Its exchanges of earlier cycles, where the next request does not wait for a reply.
     pub earlier: Earlier,
 }

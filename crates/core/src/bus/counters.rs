@@ -2,15 +2,17 @@
 
 use std::fmt;
 
-/// Exact counts of one drive's exchanges. `sent = answered + missed + owed`; what is queued is not sent.
+/// Exact counts of one drive's exchanges. `sent = answered + missed + owed`; what is queued is not sent. Those of each
+/// exchange stand first.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[repr(C)]
 pub struct Counters {
     /// Requests handed to the wire.
     pub sent: u64,
-    /// Requests that could not be handed to the wire: the operating system refused, or there was no connection.
-    pub unsent: u64,
     /// Exchanges answered in time.
     pub answered: u64,
+    /// Requests that could not be handed to the wire: the operating system refused, or there was no connection.
+    pub unsent: u64,
     /// Exchanges not answered in time.
     pub missed: u64,
     /// Replies that came after their window.

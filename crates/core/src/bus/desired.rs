@@ -8,7 +8,10 @@ use crate::axis::{Cannot, Failure, Lacks, Profile};
 use crate::time::Time;
 
 /// What a drive shall do from its next request on. It holds until it is replaced.
+///
+/// Its serials stand together: most cycles read no more of it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[repr(C)]
 pub struct Desired {
     /// Its power.
     pub power: Intent<Power>,
@@ -32,6 +35,7 @@ impl Desired {
 /// One part of what is desired. A new serial is a new intent, even with the same value: it is carried out once.
 /// Setpoints are values, and have none.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[repr(C)]
 pub struct Intent<T> {
     /// Grows with each intent; 0 = none yet.
     pub serial: u64,

@@ -9,7 +9,10 @@
 ///
 /// A telegram has two revisions: that of what is desired, and that of this state. As long as both are the same, the
 /// telegram that was built last holds, but for what is patched in place: setpoint, stamp and count.
+///
+/// Whether it holds is all that a usual cycle asks: that stands first, on one cache line.
 #[derive(Clone, Debug)]
+#[repr(C)]
 pub struct Prepared<T> {
     /// Advances with each change of the state.
     revision: u64,

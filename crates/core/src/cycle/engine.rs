@@ -39,7 +39,7 @@ use crate::axis::doorbell::Bells;
 use crate::axis::{Pulse, StopCause};
 use crate::bus::{BusNumbers, Cycle, Slot};
 use crate::drive::controller::DriveController;
-use crate::drive::groups::GroupSync;
+use crate::drive::groups::{GroupSync, StopGroups};
 use crate::inputs::InputLog;
 use crate::rt::{Clock, GuardTuner, Regions};
 use crate::time::{MS, Time, nanos};
@@ -146,6 +146,7 @@ pub struct Engine<C> {
     task: Option<Task>,
     task_id: u64,
     groups: GroupSync,
+    stop_groups: StopGroups,
     heartbeat: Heartbeat,
     channels: Channels,
     status: Status,
@@ -271,6 +272,7 @@ impl<C: Clock> Engine<C> {
             task,
             task_id: 1,
             groups: GroupSync::new(controllers.len()),
+            stop_groups: StopGroups::new(&controllers),
             heartbeat: Heartbeat::new(
                 channels.pulse.clone(),
                 channels.log.source(),
@@ -305,6 +307,7 @@ impl<C: Clock> Engine<C> {
         regions.add(&*self.slots);
         regions.add(&*self.controllers);
         self.groups.memory(regions);
+        self.stop_groups.memory(regions);
         self.heartbeat.memory(regions);
         regions.add(&*self.channels.control.0);
         self.channels.bells.memory(regions);
@@ -374,7 +377,7 @@ impl<C: Clock> Engine<C> {
         }
         let cycle = self.cycle_at(self.grid.index(), self.grid.at());
         if self.was_suspended() {
-            self.stop_axes(|_| true, |axis| axis.stop(&cycle, now, StopCause::Suspended));
+            self.stop_axes(|axis| axis.stop(&cycle, now, StopCause::Suspended));
             // The requests were built before.
             self.arm(&cycle, now);
         }
@@ -523,7 +526,7 @@ impl<C: Clock> Engine<C> {
             Overrun::Skip { max_skip } => self.skipped_in_a_row > max_skip || too_many,
         };
         if stop {
-            self.stop_axes(|_| true, |axis| axis.stop(&cycle, now, StopCause::Overrun));
+            self.stop_axes(|axis| axis.stop(&cycle, now, StopCause::Overrun));
         }
         // The requests were built for another slot: other drives may be due, and a stop may have come.
         self.arm(&cycle, now);

@@ -101,11 +101,11 @@ pub struct DriveController {
     phase_ns: Option<u64>,
     duty: Duty,
     health: LinkHealth,
-    /// The slot of the grid that was evaluated last.
-    grid: Time,
     /// The largest times.
     peaks: Peaks,
     feedback: Feedback,
+    /// The slot of the grid that was evaluated last.
+    grid: Time,
     watch: Watch,
     /// From one row to the next, s.
     row_seconds: f64,
@@ -211,9 +211,9 @@ impl DriveController {
             phase_ns: None,
             duty: Duty::default(),
             health,
-            grid: Time(0),
             peaks: Peaks::default(),
             feedback: Feedback::default(),
+            grid: Time(0),
             watch,
             row_seconds,
             machine,

@@ -1,7 +1,9 @@
 //! Group synchronisation: a command of all members begins at each of them in one cycle, or at none, and so are rows
-//! and setpoints taken. What one member leaves, no other goes on with.
+//! and setpoints taken. What one member leaves, no other goes on with. And stop groups, whose members stop together.
 //!
 //! The parts of all members are one entry in the queue of the first, so that the loop never sees some of them only.
+
+use std::collections::BTreeMap;
 
 use super::controller::{Along, DriveController};
 use crate::axis::{BegunBy, Setpoint, StopCause};
@@ -132,36 +134,67 @@ impl GroupSync {
     }
 }
 
-/// The next stop group that stops because of one of its axes, and that axis. An axis that has left what its group still
-/// does is stopped for that.
+/// The stop groups: behind each axis the next one that stops with it, in a ring. So a stop costs the members of its
+/// group only, however many axes there are.
+#[derive(Debug)]
+pub struct StopGroups(Box<[u16]>);
+
+impl StopGroups {
+    /// Those of the plans of these axes.
+    pub fn new(controllers: &[DriveController]) -> StopGroups {
+        // Each begins as a ring of its own, which the ring of its group takes in.
+        let mut next: Box<[u16]> = (0..controllers.len() as u16).collect();
+        let mut newest = BTreeMap::new();
+        for (axis, controller) in controllers.iter().enumerate() {
+            if let Some(before) = controller.plan().stop.group.and_then(|group| newest.insert(group, axis)) {
+                next.swap(before, axis);
+            }
+        }
+        StopGroups(next)
+    }
+
+    /// The memory that it touches besides itself.
+    pub fn memory(&self, regions: &mut crate::rt::Regions) {
+        regions.add(&*self.0);
+    }
+
+    /// Stops the stop group of `axis`, which has one.
+    pub fn stop(&self, cycle: &Cycle, now: Time, axis: u16, cause: StopCause, all: &mut [DriveController]) {
+        let mut member = axis;
+        loop {
+            let controller = &mut all[usize::from(member)];
+            controller.stop_along(cycle, now, BegunBy { axis, cause });
+            controller.take_along();
+            member = self.0[usize::from(member)];
+            if member == axis {
+                return;
+            }
+        }
+    }
+}
+
+/// Why the stop group of `axis` has to stop because of it, once; `None`: it has not, or there is none. An axis that has
+/// left what its group still does is stopped for that.
 pub fn take_group_stop(
     cycle: &Cycle,
     now: Time,
+    axis: usize,
     controllers: &mut [DriveController],
-) -> Option<(u16, BegunBy)> {
-    let mut next = 0;
-    while let Some(ahead) = controllers[next..].iter().position(DriveController::takes_along) {
-        let index = next + ahead;
-        next = index + 1;
-        let group = controllers[index].plan().stop.group;
-        let cause = match controllers[index].take_along() {
-            Along::Nobody => None,
-            Along::All(cause) => Some(cause),
-            Along::WhoGoesOn => {
-                let left = controllers[index].left_call();
-                let goes_on = left.is_some() && controllers.iter().any(|axis| axis.acts_in_group() == left);
-                if goes_on {
-                    controllers[index].stop(cycle, now, StopCause::GroupFailed);
-                    controllers[index].take_along();
-                }
-                goes_on.then_some(StopCause::GroupFailed)
+) -> Option<StopCause> {
+    let cause = match controllers[axis].take_along() {
+        Along::Nobody => None,
+        Along::All(cause) => Some(cause),
+        Along::WhoGoesOn => {
+            let left = controllers[axis].left_call();
+            let goes_on = left.is_some() && controllers.iter().any(|axis| axis.acts_in_group() == left);
+            if goes_on {
+                controllers[axis].stop(cycle, now, StopCause::GroupFailed);
+                controllers[axis].take_along();
             }
-        };
-        if let (Some(cause), Some(group)) = (cause, group) {
-            return Some((group, BegunBy { axis: index as u16, cause }));
+            goes_on.then_some(StopCause::GroupFailed)
         }
-    }
-    None
+    };
+    cause.filter(|_| controllers[axis].plan().stop.group.is_some())
 }
 
 impl GroupState {
@@ -291,10 +324,10 @@ mod tests {
                 controller.exchange(&cycle, cycle.grid, slot);
             }
             self.groups.open(&cycle, cycle.grid, &mut self.controllers);
-            while let Some((_, by)) = take_group_stop(&cycle, cycle.grid, &mut self.controllers) {
-                for axis in &mut self.controllers {
-                    axis.stop_along(&cycle, cycle.grid, by);
-                    axis.take_along();
+            for axis in 0..self.controllers.len() {
+                if let Some(cause) = take_group_stop(&cycle, cycle.grid, axis, &mut self.controllers) {
+                    let groups = StopGroups::new(&self.controllers);
+                    groups.stop(&cycle, cycle.grid, axis as u16, cause, &mut self.controllers);
                 }
             }
         }

@@ -205,7 +205,7 @@ pub(super) struct Watch {
     pub settles_until: Time,
 }
 
-/// What the plan allows, as it is compared in each cycle.
+/// What the plan allows. What is compared in each cycle stands first.
 #[derive(Clone, Copy, Debug)]
 #[repr(C)]
 struct Rules {
@@ -214,18 +214,18 @@ struct Rules {
     /// Of positions, user units.
     rounding: f64,
     shift_ns: u64,
-    /// Whole wrap-arounds of the drive's 32-bit counts are no way, nor are whole turns of a rotary axis.
-    units: Units,
     /// The largest following error; infinite = not watched.
     following: f64,
     /// The age of an actual position against the demand of its report, s.
     behind_s: f64,
     velocity: Option<f64>,
     position: Option<(f64, f64)>,
-    homing: Option<f64>,
     deceleration: f64,
     /// From the first report of a motion that breaks a limit until a stop reaches the drive, s.
     reaction_s: f64,
+    /// Whole wrap-arounds of the drive's 32-bit counts are no way, nor are whole turns of a rotary axis.
+    units: Units,
+    homing: Option<f64>,
     /// The largest speed of all, user units per ns.
     fastest: f64,
     standstill: f64,
@@ -247,14 +247,14 @@ impl Watch {
             speed: speed * 1e-9,
             rounding: COUNTS / plan.units.counts_per_unit.abs(),
             shift_ns: SHIFT_NS.max(interval_ns),
-            units: plan.units,
             following: plan.most_following_error(behind_ns).unwrap_or(f64::INFINITY),
             behind_s: behind_ns as f64 * 1e-9,
             velocity: plan.limits.velocity,
             position: plan.limits.position,
-            homing: plan.limits.homing_velocity(),
             deceleration: plan.stop.deceleration,
             reaction_s: f64::from(REPORTS + 2) * interval_ns as f64 * 1e-9,
+            units: plan.units,
+            homing: plan.limits.homing_velocity(),
             fastest: fastest * 1e-9,
             standstill: plan.stop.standstill,
             stop_timeout_ns: nanos(plan.stop.timeout),

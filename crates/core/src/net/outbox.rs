@@ -102,6 +102,12 @@ impl Outbox {
         self.messages[index].sent
     }
 
+    /// The same, once.
+    #[inline]
+    pub fn take_sent(&mut self, index: usize) -> Sent {
+        std::mem::take(&mut self.messages[index].sent)
+    }
+
     /// For the carrier: notes the result of message `index`.
     pub fn note(&mut self, index: usize, sent: Sent) {
         self.messages[index].sent = sent;

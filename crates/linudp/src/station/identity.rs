@@ -39,8 +39,7 @@ pub(super) struct Identity {
     pub(super) prepared: Echo,
     /// What the reply to the last request sent echoes.
     requested: Echo,
-    /// The response definitions that take turns, so many of them, and the place of the next one.
-    in_turn: [ResponseDef; 1 << IN_TURN.len()],
+    /// So many response definitions take turns, and the place of the next one.
     turns: u8,
     turn: u8,
     last: Last,
@@ -59,6 +58,8 @@ pub(super) struct Identity {
     /// A reply was suspect: the next request that is built differs from those before it. Its reply cannot be mistaken
     /// for theirs, which may still come.
     odd_due: bool,
+    /// The response definitions that take turns.
+    in_turn: [ResponseDef; 1 << IN_TURN.len()],
     /// The blocks by which the requests of one kind differ.
     varies: ResponseDef,
     /// The block that a request behind a suspect reply has or lacks.

@@ -44,13 +44,13 @@ use fieldbeat_core::time::Time;
 /// factory-fresh drives do not answer a telegram without any block (sheet, 1.3).
 const FULL_PROBE_EVERY: u8 = 4;
 
-/// One drive. What each exchange touches comes first: it lies on a few lines of the cache.
+/// One drive. What each exchange touches comes first, and so it does in the identity and in the profile: it lies on a
+/// few lines of the cache.
 #[derive(Debug)]
 #[repr(C, align(64))]
 pub struct Station {
     /// The slot that the prepared request is for.
     grid: Time,
-    identity: Identity,
     /// Another clean reply with the same states changes nothing but positions, as long as this is the revision of the
     /// profile.
     settled: Option<u64>,
@@ -61,24 +61,25 @@ pub struct Station {
     tagged: bool,
     /// The drive reports variables.
     shows: bool,
-    /// Which drive it is.
-    who: Identification,
     /// The prepared request is a probe.
     probing: bool,
     /// Probes that have gone out.
     probes: u8,
     /// So many cycles after that of its request a reply counts.
     beyond: u8,
-    inputs: Inputs,
     /// The last clean reply was the first one that says that the drive starts: the next one confirms it.
     starts: bool,
+    inputs: Inputs,
     /// The code of its error, since the error is reported; `None`: not known yet.
     error: Option<ErrorCode>,
-    track: Track,
-    units: Units,
     other: OtherMaster,
-    native: NativePort,
+    units: Units,
+    track: Track,
+    identity: Identity,
+    /// Which drive it is.
+    who: Identification,
     profile: Profile,
+    native: NativePort,
     rtc: RtcChannel,
     monitor: MonitorPlan,
 }

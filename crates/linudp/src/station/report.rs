@@ -11,11 +11,12 @@ use fieldbeat_core::time::Time;
 
 /// The positions since the drive started: a new one begins when it boots.
 #[derive(Clone, Copy, Debug, Default)]
+#[repr(C)]
 pub(super) struct Track {
-    actual: Unwrap,
-    demand: Unwrap,
     /// Of the last clean reply, for velocities.
     last: Option<Counts>,
+    actual: Unwrap,
+    demand: Unwrap,
 }
 
 /// Positions of one reply, unwrapped, 0.1 um.

@@ -108,24 +108,24 @@ impl<C: Clock> Engine<C> {
 
     /// An axis that was stopped stops its stop group, and so does one without which its group would go on.
     fn take_groups_along(&mut self, cycle: &Cycle, now: Time) {
-        while let Some((group, by)) = take_group_stop(cycle, now, &mut self.controllers) {
-            self.stop_axes(|other| other == Some(group), |axis| axis.stop_along(cycle, now, by));
+        for axis in 0..self.controllers.len() {
+            if self.controllers[axis].takes_along()
+                && let Some(cause) = take_group_stop(cycle, now, axis, &mut self.controllers)
+            {
+                // What was posted before the stop ends with it.
+                take_commands(&mut self.controllers, &mut self.channels.bells);
+                self.stop_groups.stop(cycle, now, axis as u16, cause, &mut self.controllers);
+            }
         }
     }
 
-    /// Stops every axis whose stop group is `chosen`.
-    pub(super) fn stop_axes(
-        &mut self,
-        chosen: impl Fn(Option<u16>) -> bool,
-        stop: impl Fn(&mut DriveController),
-    ) {
+    /// Stops every axis.
+    pub(super) fn stop_axes(&mut self, stop: impl Fn(&mut DriveController)) {
         // What was posted before the stop ends with it.
         take_commands(&mut self.controllers, &mut self.channels.bells);
         for controller in &mut self.controllers {
-            if chosen(controller.plan().stop.group) {
-                stop(controller);
-                controller.take_along();
-            }
+            stop(controller);
+            controller.take_along();
         }
     }
 
@@ -179,7 +179,7 @@ impl<C: Clock> Engine<C> {
             std::mem::forget(self.task.take());
         }
         if panicked || over {
-            self.stop_axes(|_| true, |axis| axis.stop(cycle, before, StopCause::Task));
+            self.stop_axes(|axis| axis.stop(cycle, before, StopCause::Task));
         }
         // The task may have run for long.
         take_commands(&mut self.controllers, &mut self.channels.bells);

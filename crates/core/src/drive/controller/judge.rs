@@ -234,12 +234,12 @@ impl DriveController {
     #[inline]
     fn keep_status(&mut self, slot: &mut Slot, rtt: Option<u32>) {
         let Slot { status, notices, .. } = slot;
-        self.feedback.status = *status;
+        self.feedback.status.take(status);
         self.feedback.age = u32::from(status.suspect);
         self.feedback.rtt_ns = rtt.or(self.feedback.rtt_ns);
         if notices.monitor_fresh {
             notices.monitor_fresh = false;
-            self.take_monitored();
+            self.take_monitored(status);
         }
     }
 
@@ -252,8 +252,9 @@ impl DriveController {
     }
 
     #[inline(never)]
-    fn take_monitored(&mut self) {
-        let monitor = self.feedback.status.monitor;
+    fn take_monitored(&mut self, status: &DriveStatus) {
+        let monitor = status.monitor;
+        self.feedback.status.monitor = monitor;
         self.shows = monitor.iter().any(Option::is_some);
         for (extent, value) in self.monitor.iter_mut().zip(monitor) {
             if let Some(value) = value.filter(|value| !value.is_nan()) {
