@@ -21,7 +21,9 @@ use super::other::Others;
 use super::plan::{LenzeDrive, ProfibusPlan};
 use super::station::Station;
 use fieldbeat_core::bus::native::Inputs;
-use fieldbeat_core::bus::{Bus, BusNumbers, Cycle, Ends, Exchange, OpenError, Opened, Slot, Unmatched, Waits};
+use fieldbeat_core::bus::{
+    Bus, BusNumbers, Cycle, Ends, Exchange, OpenError, Opened, Slot, Unmatched, Waits,
+};
 use fieldbeat_core::net::{Broken, Carriers, Lock, Place, Serial};
 use fieldbeat_core::rt::Regions;
 use fieldbeat_core::time::Time;

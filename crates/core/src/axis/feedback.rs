@@ -332,7 +332,7 @@ impl Feedback {
         }
         let mut words = self.first_words(Shown::mask(&self.status.monitor));
         if let Some(by) = self.begun_by {
-            words[8] |= by.bits();
+            words[9] |= by.bits();
         }
         cell.write_words(words.into_iter());
     }
@@ -343,74 +343,77 @@ impl Feedback {
     }
 
     /// Its words but for the monitored values and who began its stop; `shown` has a bit for each of these that there
-    /// is.
+    /// is. What is one byte stands as it lies in memory, so that it is copied by the word.
     #[inline]
-    fn first_words(&self, shown: u8) -> [u64; 9] {
+    fn first_words(&self, shown: u8) -> [u64; 10] {
         let status = &self.status;
-        let flags = u64::from(status.homed)
-            | u64::from(status.moving) << 1
-            | u64::from(status.in_target) << 2
-            | u64::from(status.suspect) << 3
-            | u64::from(self.rtt_ns.is_some()) << 4
-            | u64::from(status.sto_open) << 5
-            | (self.link as u64) << 8
-            | (status.state as u64) << 16
-            | self.stopped.map_or(0, |cause| cause as u64) << 24
-            | u64::from(self.age) << 32;
+        let states = [
+            status.state as u8,
+            status.homed.into(),
+            status.moving.into(),
+            status.in_target.into(),
+            status.sto_open.into(),
+            status.suspect.into(),
+            self.rtt_ns.is_some().into(),
+            0,
+        ];
+        let link = (self.link as u64) | self.stopped.map_or(0, |cause| cause as u64) << 8;
         [
             self.cycle,
-            flags,
+            u64::from(self.age) | link << 32,
             status.at.0,
             status.position.to_bits(),
             status.demand.to_bits(),
             status.velocity.to_bits(),
             status.current.to_bits(),
             u64::from(status.warning) | u64::from(status.fault) << 32,
+            u64::from_le_bytes(states),
             u64::from(self.rtt_ns.unwrap_or(0)) | u64::from(shown) << 32,
         ]
     }
 }
 
 impl Packed for Feedback {
-    type Words = [u64; 13];
+    type Words = [u64; 14];
 
     #[inline]
-    fn pack(&self) -> [u64; 13] {
+    fn pack(&self) -> [u64; 14] {
         let (shown, values) = Shown::from(self.status.monitor).to_words();
-        let mut words = [0; 13];
-        words[..9].copy_from_slice(&self.first_words(shown));
-        words[8] |= self.begun_by.map_or(0, BegunBy::bits);
-        words[9..].copy_from_slice(&values);
+        let mut words = [0; 14];
+        words[..10].copy_from_slice(&self.first_words(shown));
+        words[9] |= self.begun_by.map_or(0, BegunBy::bits);
+        words[10..].copy_from_slice(&values);
         words
     }
 
-    fn unpack(words: &[u64; 13]) -> Feedback {
-        let flags = words[1];
-        let byte = |shift: u32| usize::from((flags >> shift) as u8);
-        let shown = Shown::from_words((words[8] >> 32) as u8, [words[9], words[10], words[11], words[12]]);
+    fn unpack(words: &[u64; 14]) -> Feedback {
+        let &[cycle, link, at, position, demand, velocity, current, codes, states, last, shown @ ..] = words;
+        let [state, homed, moving, in_target, sto_open, suspect, has_rtt, _] = states.to_le_bytes();
+        let shown = Shown::from_words((last >> 32) as u8, shown);
         let status = DriveStatus {
-            at: Time(words[2]),
-            state: State::ALL.get(byte(16)).copied().unwrap_or_default(),
-            homed: flags & 1 != 0,
-            moving: flags & 2 != 0,
-            in_target: flags & 4 != 0,
-            suspect: flags & 8 != 0,
-            sto_open: flags & 32 != 0,
-            position: f64::from_bits(words[3]),
-            demand: f64::from_bits(words[4]),
-            velocity: f64::from_bits(words[5]),
-            current: f64::from_bits(words[6]),
-            warning: words[7] as u32,
-            fault: (words[7] >> 32) as u32,
+            at: Time(at),
+            state: State::ALL.get(usize::from(state)).copied().unwrap_or_default(),
+            homed: homed != 0,
+            moving: moving != 0,
+            in_target: in_target != 0,
+            suspect: suspect != 0,
+            sto_open: sto_open != 0,
+            position: f64::from_bits(position),
+            demand: f64::from_bits(demand),
+            velocity: f64::from_bits(velocity),
+            current: f64::from_bits(current),
+            warning: codes as u32,
+            fault: (codes >> 32) as u32,
             monitor: shown.unwrap_or_default().values(),
         };
+        let byte = |shift: u32| usize::from((link >> shift) as u8);
         Feedback {
-            cycle: words[0],
-            age: (flags >> 32) as u32,
-            link: Link::ALL.get(byte(8)).copied().unwrap_or_default(),
-            stopped: StopCause::of(byte(24)),
-            begun_by: BegunBy::of_bits(words[8]),
-            rtt_ns: (flags & 16 != 0).then_some(words[8] as u32),
+            cycle,
+            age: link as u32,
+            link: Link::ALL.get(byte(32)).copied().unwrap_or_default(),
+            stopped: StopCause::of(byte(40)),
+            begun_by: BegunBy::of_bits(last),
+            rtt_ns: (has_rtt != 0).then_some(last as u32),
             status,
         }
     }

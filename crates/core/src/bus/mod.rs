@@ -35,7 +35,9 @@ pub mod reader;
 pub mod variant;
 
 pub use self::calls::Calls;
-pub use self::contract::{Bus, Cycle, Earlier, Exchange, LastResort, MOST_EARLIER, Notes, Opened, Slot, Waits};
+pub use self::contract::{
+    Bus, Cycle, Earlier, Exchange, LastResort, MOST_EARLIER, Notes, Opened, Slot, Waits,
+};
 pub use self::counters::{BusClock, BusNumbers, Counters, OwnCounter, ProtocolCounters, Unmatched};
 pub use self::drives::{DeviceEnds, DriveEnds, Ends};
 pub use self::error::OpenError;

@@ -213,8 +213,12 @@ impl Window {
             }
             // One nap a window, once the first replies are in and more than one is missing. It would hold up a wire on
             // which each reply lets the next request leave.
-            let nap =
-                !over && self.wait == Wait::Poll && !napped && left < owed && left > 1 && poll_at == Waits::NEVER;
+            let nap = !over
+                && self.wait == Wait::Poll
+                && !napped
+                && left < owed
+                && left > 1
+                && poll_at == Waits::NEVER;
             match self.wait {
                 _ if over => {}
                 Wait::Spin => clock.spin(),

@@ -252,7 +252,9 @@ impl<C: Clock> Engine<C> {
         let mut poll_set = PollSet::with_room(polled.len());
         for _ in 0..MOST_WAITS {
             let looks: Vec<_> = (polled.iter())
-                .filter_map(|bus| self.bus(*bus, |open, slots| (open.waits(cycle, slots).poll_at, open.bus.fd())))
+                .filter_map(|bus| {
+                    self.bus(*bus, |open, slots| (open.waits(cycle, slots).poll_at, open.bus.fd()))
+                })
                 .collect();
             let at = looks.iter().map(|(at, _)| *at).min();
             let Some(at) = at.filter(|at| *at < cycle.deadline) else { return };

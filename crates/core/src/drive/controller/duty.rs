@@ -67,9 +67,8 @@ pub(super) struct Duty {
 /// What follows from a duty. To keep it saves 205 instructions a drive and cycle in motion, and 48 at rest.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Follows {
-    /// It is enabled, nothing stops it, and a motion runs that the loop itself leads and that is no homing and no
-    /// torque.
-    pub is_led: bool,
+    /// What leads it.
+    pub lead: Lead,
     /// A stop runs: that of the application, or the stop sequence.
     pub stops: bool,
     /// The application owns its control word.
@@ -78,6 +77,18 @@ pub(super) struct Follows {
     pub rows: bool,
     /// The command that runs, as [`Command::code`]; 0 = none.
     pub command: u8,
+}
+
+/// What leads an axis.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) enum Lead {
+    /// The loop: it is enabled, nothing stops it, and a motion runs that is no homing and no torque.
+    Loop,
+    /// Nothing: it is enabled, nothing stops it, and no command runs.
+    Nothing,
+    /// Something else, or that is not to be seen from its duty alone.
+    #[default]
+    Else,
 }
 
 impl Duty {
@@ -135,12 +146,16 @@ impl Duty {
 
     fn note(&mut self) {
         let command = self.command();
-        let led = matches!(
-            command,
-            Some(Command::Move(_) | Command::Jog(_) | Command::Velocity { .. } | Command::Follow)
-        );
+        let lead = match command {
+            _ if self.claim != Claim::Armed || !self.latch.is_open() || self.under_torque => Lead::Else,
+            Some(Command::Move(_) | Command::Jog(_) | Command::Velocity { .. } | Command::Follow) => {
+                Lead::Loop
+            }
+            None => Lead::Nothing,
+            Some(_) => Lead::Else,
+        };
         self.follows = Follows {
-            is_led: led && self.claim == Claim::Armed && self.latch.is_open() && !self.under_torque,
+            lead,
             stops: command.is_some_and(Command::is_stop) || matches!(self.latch, Latch::Down(..)),
             is_free: command == Some(&Command::Native(NativeOwner::Application)),
             rows: command == Some(&Command::Follow),

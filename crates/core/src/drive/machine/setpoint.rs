@@ -32,8 +32,8 @@ pub(super) struct Course {
     leads: bool,
     /// The drive is, or was, in another mode than that of its setpoint.
     away: bool,
-    /// A velocity or a torque that the motion has come to, and keeps: the next setpoint is the last one.
-    is_constant: bool,
+    /// A standstill, a velocity or a torque that the motion has come to, and keeps: the next setpoint is the last one.
+    pub(super) is_constant: bool,
     /// What it was requested to be then, before it was limited.
     level: f64,
     /// How much of the motion was sent, and the point there.
@@ -157,20 +157,21 @@ impl State {
     }
 
     /// The setpoint in the slot is that of the next send, too. No revision says so: setpoints have none. It saves 202
-    /// instructions a drive and cycle at a constant velocity of the master, and 67 where the drive makes its setpoints.
+    /// instructions a drive and cycle at a constant velocity of the master, 221 where it holds a position, and 67 where
+    /// the drive makes its setpoints.
     #[inline]
     pub(super) fn keeps_setpoint(&self, input: &Input, slot: &Slot) -> bool {
         if self.is_new {
             return false;
         }
-        if !self.has_course {
+        let keeps = match self.step {
+            Step::FollowWaiting | Step::Following | Step::FollowEnding { .. } => false,
             // Only rows are setpoints of a drive that makes its own.
-            return !matches!(self.step, Step::FollowWaiting | Step::Following | Step::FollowEnding { .. });
-        }
-        self.course.is_constant
-            && input.level == self.course.level
-            && matches!(self.step, Step::Turning(_))
-            && slot.evidence.mode == ModeIs::Own
+            _ if !self.has_course => return true,
+            Step::Turning(_) => input.level == self.course.level,
+            _ => self.course.demand.velocity == 0.0,
+        };
+        keeps && self.course.is_constant && slot.evidence.mode == ModeIs::Own
     }
 
     /// Chooses the setpoint of the next send.
@@ -197,7 +198,7 @@ impl State {
         }
         if !self.course.leads || self.course.away {
             self.course.next = Point { position: view.evidence.position, velocity: 0.0 };
-            self.course.next_ns = 0;
+            (self.course.next_ns, self.course.is_constant) = (0, false);
             return None;
         }
         let end = match self.step {
@@ -218,9 +219,14 @@ impl State {
         };
         course.next_ns = course.passed_ns.saturating_add(waited.min(most));
         course.next = course.motion.at(course.next_ns);
+        // A place goes on, and a limit of it may come near.
         let is_place =
             view.rules.quantity == Some(Quantity::Position) || view.rules.axis.limits.position.is_some();
-        course.is_constant = !is_place && course.motion.is_over(course.next_ns);
+        let keeps = match self.step {
+            Step::Turning(_) => !is_place,
+            _ => course.motion.last_velocity() == 0.0,
+        };
+        course.is_constant = keeps && course.motion.is_over(course.next_ns);
         course.level = view.input.level;
         end
     }

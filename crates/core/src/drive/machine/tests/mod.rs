@@ -170,19 +170,27 @@ impl Rig {
         self.propose();
     }
 
-    /// For the next send, as often as somebody likes.
+    /// For the next send, as often as somebody likes; and the setpoint that was kept is the one that is planned.
     fn propose(&mut self) {
         let next = self.now + T;
         self.machine.propose(next, &mut self.slot);
         let ended = |rig: &Rig| rig.end().map(|end| end.is_ok());
         let (first, end) = (self.slot.desired, ended(self));
+        // As if it knew nothing of a setpoint that is kept; then it goes on as it was.
+        let left = self.machine.state.left().clone();
+        self.machine.state.left_mut().course.is_constant = false;
         self.machine.propose(next, &mut self.slot);
-        // An intent that has not left has another serial each time.
+        // An intent that has not left has another serial each time; and a place has no meaning for all drives.
+        let is_place = quantity(&self.drive.can) == Some(Quantity::Position);
         let values = |desired: Desired| {
             let Desired { power, mode, motion, setpoint } = desired;
-            (power.value, mode.value, motion.value, Setpoint { row: 0, ..setpoint })
+            let position = if is_place { setpoint.position } else { 0.0 };
+            (power.value, mode.value, motion.value, Setpoint { row: 0, position, ..setpoint })
         };
         assert_eq!((values(self.slot.desired), ended(self)), (values(first), end), "it is proposed again");
+        if !self.machine.state.is_proposed() {
+            *self.machine.state.left_mut() = left;
+        }
     }
 
     fn turn(&mut self) {

@@ -486,3 +486,21 @@ fn a_drive_that_leaves_the_mode_of_its_setpoint_in_motion_ends_that_motion_and_s
         assert!(!rig.drive.is_moving(), "{can:?}: {:?}", rig.drive.point);
     }
 }
+
+#[test]
+fn a_drive_that_comes_back_from_another_mode_holds_where_it_is_then_and_moves_from_there() {
+    let mut rig = Rig::enabled(kinds()[1]);
+    rig.turns(20);
+    rig.drive.shows.mode = ModeIs::Other;
+    for _ in 0..10 {
+        // Somebody turns it by hand.
+        rig.drive.point.position += 0.1;
+        rig.turn();
+    }
+    rig.drive.shows.mode = ModeIs::Own;
+    let at = rig.drive.point.position;
+    rig.turns(20);
+    assert_eq!((rig.drive.point.position, rig.slot.desired.setpoint.position), (at, at));
+    assert_eq!(rig.run(by(5.0)), Ok(()));
+    assert_eq!(rig.drive.point.position, at + 5.0);
+}
