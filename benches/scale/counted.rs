@@ -18,7 +18,7 @@ use fieldbeat_profibus as profibus;
 use fieldbeat_record::recording::Recorder;
 
 use super::carriers;
-use crate::support::count::{self, Ran, Scenario};
+use crate::support::count::{self, Caches, Ran, Scenario};
 use crate::support::counted::CountedNet;
 use crate::support::fleet::{Fleet, Side};
 use crate::support::lenze::{self, NullWires};
@@ -38,14 +38,20 @@ const COUNTED_CYCLES: u64 = 128;
 /// Drives that fit into the frame of one segment.
 const SEGMENT_MOST: usize = 64;
 
-/// What is counted in place of being measured. At 64 drives the first-level misses are of interest, at 256 the
-/// second-level ones.
+/// What is counted in place of being measured. At 64 drives the first-level misses have a budget, at 256 the
+/// second-level ones are of interest.
 pub fn scenarios() -> Vec<Scenario> {
-    let of =
-        |protocol| COMPARED.map(|drives| Scenario { caches: drives >= 64, ..Scenario::of(protocol, drives) });
+    let caches = |drives| match drives {
+        64 => Caches::Yes,
+        256 => Caches::OnRequest,
+        _ => Caches::No,
+    };
+    let of = |protocol| {
+        COMPARED.map(|drives| Scenario { caches: caches(drives), ..Scenario::of(protocol, drives) })
+    };
     let with_terminals = Scenario {
         terminals: TERMINALS_OF_64,
-        caches: true,
+        caches: Caches::OnRequest,
         ..Scenario::of(ethercat::PROTOCOL, DRIVES_OF_64)
     };
     [linudp::PROTOCOL, modbus::PROTOCOL, ethercat::PROTOCOL, ethernet_ip::PROTOCOL, profibus::PROTOCOL]
@@ -56,7 +62,7 @@ pub fn scenarios() -> Vec<Scenario> {
         // A Unidrive in memory turns as soon as it may.
         .filter(|scenario| (scenario.protocol, scenario.part) != (modbus::PROTOCOL, Some(IDLE)))
         .chain(WORST.into_iter().flat_map(|part| again(part, true)))
-        .chain([Scenario { part: Some(DEFAULT), ..Scenario::of(modbus::PROTOCOL, 64) }])
+        .chain([Scenario { part: Some(DEFAULT), caches: Caches::Yes, ..Scenario::of(modbus::PROTOCOL, 64) }])
         .chain(
             [linudp::PROTOCOL, modbus::PROTOCOL, ethernet_ip::PROTOCOL]
                 .map(|protocol| Scenario { part: Some(CARRIER), ..Scenario::of(protocol, 64) }),

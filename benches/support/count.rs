@@ -19,7 +19,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use serde_json::json;
 
-use super::budgets::{ALLOCATIONS, Budgets, CALLS, INSTRUCTIONS};
+use super::budgets::{ALLOCATIONS, Budgets, CALLS, INSTRUCTIONS, MISSES};
 use super::{Args, Report, rig, shown};
 
 #[path = "../../tests/support/counting.rs"]
@@ -52,10 +52,20 @@ pub struct Scenario {
     pub drives: usize,
     /// Couplers and terminals in it.
     pub terminals: usize,
-    /// Its misses of the caches are of interest, too.
-    pub caches: bool,
+    /// Whether its misses of the caches are counted, too.
+    pub caches: Caches,
     /// Of its cycles the one with most instructions, in place of the mean.
     pub worst: bool,
+}
+
+/// Whether caches are simulated, which takes three times as long.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Caches {
+    No,
+    /// With `--misses` only.
+    OnRequest,
+    /// Those of the first level have a budget.
+    Yes,
 }
 
 /// What the child has run.
@@ -78,6 +88,14 @@ struct Counts {
     calls: Option<f64>,
     /// First level for data, and second level.
     misses: Option<[f64; 2]>,
+}
+
+impl Counts {
+    /// The misses of the first level, where they have a budget.
+    fn first_level(&self, scenario: &Scenario) -> Option<f64> {
+        let [first, _] = self.misses.filter(|_| scenario.caches == Caches::Yes)?;
+        Some((first * 10.0).round() / 10.0)
+    }
 }
 
 /// The child: runs the scenario that its environment names, if it does. Returns whether it did.
@@ -132,8 +150,6 @@ pub fn run(cycles: u64, mut cycle: impl FnMut()) -> Ran {
 
 /// Counts all scenarios of a bench, prints them and compares them with their budgets, or writes these.
 pub fn gate(bench: &str, args: &Args, scenarios: &[Scenario]) -> ExitCode {
-    let looked_at = |scenario: &Scenario| Scenario { caches: scenario.caches && args.misses, ..*scenario };
-    let scenarios = &scenarios.iter().map(looked_at).collect::<Vec<_>>()[..];
     println!(
         "{bench}: instructions a drive and cycle, counted by callgrind without carriers and simulated drives"
     );
@@ -141,7 +157,7 @@ pub fn gate(bench: &str, args: &Args, scenarios: &[Scenario]) -> ExitCode {
         println!("not counted: {why}");
         return ExitCode::SUCCESS;
     }
-    match counts_of(scenarios).and_then(|counts| judge(bench, args, scenarios, &counts)) {
+    match counts_of(scenarios, args.misses).and_then(|counts| judge(bench, args, scenarios, &counts)) {
         Ok(code) => code,
         Err(why) => rig::give_up(why),
     }
@@ -150,9 +166,9 @@ pub fn gate(bench: &str, args: &Args, scenarios: &[Scenario]) -> ExitCode {
 fn judge(bench: &str, args: &Args, scenarios: &[Scenario], all: &[Counts]) -> Result<ExitCode, String> {
     let mut budgets = Budgets::read()?;
     let [_, first, second] = CACHES;
-    if args.misses {
-        println!("misses of simulated caches ({first} {second}) have no budget");
-    }
+    println!(
+        "misses are those of simulated caches ({first} {second}); those of the second level have no budget"
+    );
     println!(
         "  scenario         instructions   budget  of budget  1st level  2nd level  calls a cycle  \
          allocations"
@@ -175,12 +191,15 @@ fn judge(bench: &str, args: &Args, scenarios: &[Scenario], all: &[Counts]) -> Re
     }
     if args.write_budgets {
         budgets.retain(bench, |row| {
-            scenarios
-                .iter()
-                .any(|scenario| [INSTRUCTIONS, CALLS].map(|what| scenario.row(bench, what)).contains(row))
+            scenarios.iter().any(|scenario| {
+                [INSTRUCTIONS, MISSES, CALLS].map(|what| scenario.row(bench, what)).contains(row)
+            })
         });
         for (scenario, counts) in scenarios.iter().zip(all) {
             budgets.enter(&scenario.row(bench, INSTRUCTIONS), counts.instructions);
+            if let Some(misses) = counts.first_level(scenario) {
+                budgets.enter(&scenario.row(bench, MISSES), misses);
+            }
             if let Some(calls) = counts.calls {
                 budgets.enter(&scenario.row(bench, CALLS), calls);
             }
@@ -194,13 +213,16 @@ fn judge(bench: &str, args: &Args, scenarios: &[Scenario], all: &[Counts]) -> Re
         if let Some(calls) = counts.calls {
             report.within(&budgets, &scenario.row(bench, CALLS), calls);
         }
-        let row = scenario.row(bench, INSTRUCTIONS);
-        match cfg!(target_arch = "x86_64") {
-            true => report.within(&budgets, &row, counts.instructions),
-            false => report.not_compared(&row, "the budgets were taken on x86_64"),
+        let misses = counts.first_level(scenario).map(|misses| (MISSES, misses));
+        for (what, count) in [(INSTRUCTIONS, counts.instructions)].into_iter().chain(misses) {
+            let row = scenario.row(bench, what);
+            match cfg!(target_arch = "x86_64") {
+                true => report.within(&budgets, &row, count),
+                false => report.not_compared(&row, "the budgets were taken on x86_64"),
+            }
         }
         report.enter(
-            row,
+            scenario.row(bench, INSTRUCTIONS),
             json!({ "instructions": counts.instructions, "first_and_second_level_misses": counts.misses }),
         );
     }
@@ -212,13 +234,13 @@ fn judge(bench: &str, args: &Args, scenarios: &[Scenario], all: &[Counts]) -> Re
 }
 
 /// Each scenario in a process of its own, as many at a time as there are cores: a count does not mind.
-fn counts_of(scenarios: &[Scenario]) -> Result<Vec<Counts>, String> {
+fn counts_of(scenarios: &[Scenario], misses: bool) -> Result<Vec<Counts>, String> {
     let next = AtomicUsize::new(0);
     let done = Mutex::new(BTreeMap::new());
     let worker = || {
         // The longest ones, which come last, begin first.
         while let Some(place) = scenarios.len().checked_sub(1 + next.fetch_add(1, Ordering::Relaxed)) {
-            let counts = under_callgrind(scenarios[place]);
+            let counts = under_callgrind(scenarios[place], misses);
             done.lock().unwrap_or_else(|poison| poison.into_inner()).insert(place, counts);
         }
     };
@@ -229,7 +251,7 @@ fn counts_of(scenarios: &[Scenario]) -> Result<Vec<Counts>, String> {
     done.into_inner().unwrap_or_else(|poison| poison.into_inner()).into_values().collect()
 }
 
-fn under_callgrind(scenario: Scenario) -> Result<Counts, String> {
+fn under_callgrind(scenario: Scenario, misses: bool) -> Result<Counts, String> {
     let what = scenario.name();
     let of = |error: &dyn std::fmt::Display| format!("{what}: {error}");
     let directory = tempfile::tempdir().map_err(|error| of(&error))?;
@@ -238,7 +260,12 @@ fn under_callgrind(scenario: Scenario) -> Result<Counts, String> {
     command.args(["--tool=callgrind", "--demangle=no", "--collect-atstart=no"]);
     command.arg(if cfg!(target_arch = "x86_64") { "--instr-atstart=no" } else { "--instr-atstart=yes" });
     command.args(["--toggle-collect=*callgrind_counts*", "--toggle-collect=*callgrind_pauses*"]);
-    command.args(if scenario.caches { &CACHES[..] } else { &[] });
+    let caches = match scenario.caches {
+        Caches::No => false,
+        Caches::OnRequest => misses,
+        Caches::Yes => true,
+    };
+    command.args(if caches { &CACHES[..] } else { &[] });
     command.arg(format!("--callgrind-out-file={}", path.display()));
     command.arg(std::env::current_exe().map_err(|error| of(&error))?);
     // What else is in the environment moves the stack, and with it what a copy of bytes takes.
@@ -305,7 +332,7 @@ fn valgrind() -> Result<(), String> {
 impl Scenario {
     /// Drives only; the caches are not simulated.
     pub const fn of(protocol: &'static str, drives: usize) -> Scenario {
-        Scenario { protocol, part: None, drives, terminals: 0, caches: false, worst: false }
+        Scenario { protocol, part: None, drives, terminals: 0, caches: Caches::No, worst: false }
     }
 
     /// As the environment of the child and the table have it.

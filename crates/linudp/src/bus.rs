@@ -37,6 +37,10 @@ struct LinUdpBus {
     unmatched: Unmatched,
     /// The orderly end has begun: no more requests.
     is_ending: bool,
+    /// The requests of all due slots stand built and posted for the next send ...
+    is_prepared: bool,
+    /// ... and one of them does not hold any more.
+    is_void: bool,
     /// The drives are this master's until the socket is closed.
     _locks: Vec<Lock>,
 }
@@ -72,17 +76,17 @@ impl LinUdpBus {
             senders: Senders::new(&peers),
             unmatched: Unmatched::default(),
             is_ending: false,
+            is_prepared: false,
+            is_void: false,
             _locks: locks,
         };
         let last_resort = last.map(|last| Box::new(last) as Box<dyn LastResort>);
         Ok(Opened { last_resort, ..Opened::new(bus, ends, notes) })
     }
 
-    /// Takes in what is in the socket and hands each datagram to the station of its sender. Returns whether a request
-    /// that was built does not hold any more.
-    fn take_in(&mut self, in_window: bool, slots: &mut [Slot]) -> bool {
-        let LinUdpBus { net, stations, senders, unmatched, .. } = self;
-        let mut is_void = false;
+    /// Takes in what is in the socket and hands each datagram to the station of its sender.
+    fn take_in(&mut self, in_window: bool, slots: &mut [Slot]) {
+        let LinUdpBus { net, stations, senders, unmatched, is_void, .. } = self;
         let is_taken = net::take_in(&mut **net, &mut |datagram| {
             let Some((index, is_its_port)) = senders.find(&datagram.from) else {
                 unmatched.datagrams += 1;
@@ -97,11 +101,10 @@ impl LinUdpBus {
                 slot.counters.malformed += 1;
             } else {
                 station.take(datagram.at, datagram.bytes, in_window, slot);
-                is_void |= station.is_void();
+                *is_void |= station.is_void();
             }
         });
         unmatched.errors += u64::from(!is_taken);
-        is_void
     }
 
     /// Builds the requests again that do not hold any more.
@@ -111,6 +114,17 @@ impl LinUdpBus {
             if slot.due && !self.is_ending && station.is_void() {
                 let length = station.prepare(cycle, slot, self.outbox.room(index));
                 self.outbox.set_length(index, length);
+            }
+        }
+    }
+
+    /// A panic kept the requests from being built: none of them leaves.
+    #[cold]
+    fn send_nothing(&mut self, slots: &mut [Slot]) {
+        for (index, slot) in slots.iter_mut().enumerate() {
+            self.outbox.post(index, false);
+            if slot.due && !self.is_ending {
+                slot.unsent();
             }
         }
     }
@@ -186,8 +200,12 @@ impl Bus for LinUdpBus {
     fn send(&mut self, cycle: &Cycle, slots: &mut [Slot]) {
         // A system call in each cycle, although usually nothing waits: a copy of an old reply that has come since the
         // last window would pass for the next reply, if the definitions of both are the same.
-        if self.take_in(false, slots) {
+        self.take_in(false, slots);
+        if std::mem::take(&mut self.is_void) {
             self.prepare_again(cycle, slots);
+        }
+        if !std::mem::take(&mut self.is_prepared) {
+            self.send_nothing(slots);
         }
         self.net.send(&mut self.outbox);
         for (index, (station, slot)) in self.stations.iter_mut().zip(slots).enumerate() {
@@ -215,6 +233,7 @@ impl Bus for LinUdpBus {
     }
 
     fn prepare(&mut self, cycle: &Cycle, slots: &mut [Slot]) {
+        (self.is_prepared, self.is_void) = (false, false);
         for (index, (station, slot)) in self.stations.iter_mut().zip(slots).enumerate() {
             let goes = slot.due && !self.is_ending;
             if goes {
@@ -223,6 +242,7 @@ impl Bus for LinUdpBus {
             }
             self.outbox.post(index, goes);
         }
+        self.is_prepared = true;
     }
 
     fn native(&self, index: usize) -> Option<(&dyn Inputs, &[u8])> {

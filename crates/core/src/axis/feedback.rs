@@ -465,4 +465,26 @@ mod tests {
             assert_eq!(read.velocity, status.velocity);
         }
     }
+
+    #[test]
+    fn each_of_its_flags_has_a_place_of_its_own_with_and_without_monitored_values() {
+        let monitor = [Some(1.5), None, None, None];
+        let (mut writer, reader) = crate::axis::cell::cell(Feedback::default());
+        for place in 0..6 {
+            let is = |other: usize| place == other;
+            let status = DriveStatus {
+                homed: is(0),
+                moving: is(1),
+                in_target: is(2),
+                suspect: is(3),
+                sto_open: is(4),
+                monitor,
+                ..DriveStatus::default()
+            };
+            let feedback = Feedback { rtt_ns: is(5).then_some(7), status, ..Feedback::default() };
+            // The values of the first one stay there.
+            feedback.write_to(&mut writer, is(0));
+            assert_eq!((Feedback::unpack(&feedback.pack()), reader.read()), (feedback, feedback));
+        }
+    }
 }

@@ -347,6 +347,14 @@ mod tests {
         }
     }
 
+    #[test]
+    fn the_members_of_a_stop_group_are_a_ring_and_an_axis_without_one_is_alone() {
+        let groups = [Some(7), Some(2), Some(7), None, Some(2), Some(7)];
+        let controllers: Vec<_> =
+            groups.into_iter().flat_map(|group| Machine::new(1, group).controllers).collect();
+        assert_eq!(*StopGroups::new(&controllers).0, [2, 4, 5, 3, 1, 0]);
+    }
+
     /// May begin at any time, and is done at once.
     const RESET: Command = Command::Reset;
     const DONE: Outcome = Outcome::Done;

@@ -109,9 +109,7 @@ impl<C: Clock> Engine<C> {
     /// An axis that was stopped stops its stop group, and so does one without which its group would go on.
     fn take_groups_along(&mut self, cycle: &Cycle, now: Time) {
         for axis in 0..self.controllers.len() {
-            if self.controllers[axis].takes_along()
-                && let Some(cause) = take_group_stop(cycle, now, axis, &mut self.controllers)
-            {
+            if let Some(cause) = take_group_stop(cycle, now, axis, &mut self.controllers) {
                 // What was posted before the stop ends with it.
                 take_commands(&mut self.controllers, &mut self.channels.bells);
                 self.stop_groups.stop(cycle, now, axis as u16, cause, &mut self.controllers);

@@ -364,6 +364,8 @@ impl Waiting {
         // Its revision is of no interest: it is built again for each send.
         let mut state = prepared.propose(0);
         state.is_new = true;
+        // Where another mode has ended is where it begins.
+        state.course.watch_mode(view);
         if self.quits {
             state.quit(view);
         }

@@ -123,7 +123,10 @@ impl Course {
     }
 
     /// In another mode no setpoint counts: it is neutral there, and so is the first one after it.
-    fn watch_mode(&mut self, view: &View) {
+    pub(super) fn watch_mode(&mut self, view: &View) {
+        if !self.leads {
+            return;
+        }
         if view.is_in_another_mode() {
             self.away = true;
         } else if self.away {
@@ -193,9 +196,7 @@ impl State {
     /// Advances the setpoint by the time since the last send.
     #[inline]
     fn advance(&mut self, view: &View) -> End {
-        if self.course.leads {
-            self.course.watch_mode(view);
-        }
+        self.course.watch_mode(view);
         if !self.course.leads || self.course.away {
             self.course.next = Point { position: view.evidence.position, velocity: 0.0 };
             (self.course.next_ns, self.course.is_constant) = (0, false);
