@@ -19,7 +19,6 @@ use std::task::Waker;
 use nix::errno::Errno;
 use nix::sys::epoll::{Epoll, EpollCreateFlags, EpollEvent, EpollFlags, EpollTimeout};
 use nix::sys::socket::{MsgFlags, recv, send};
-use nix::unistd::{read, write};
 
 use super::link::{Ends, GivenBack, LinkThread, Opened};
 use super::serial::{Serial, SerialLine};
@@ -141,7 +140,7 @@ impl Streams for Tcp {
             return Ok(None);
         }
         let count = match self.is_tty {
-            true => read(socket, room),
+            true => tty::read(socket, room),
             false => recv(socket.as_raw_fd(), room, MsgFlags::MSG_DONTWAIT),
         };
         match count {
@@ -156,7 +155,7 @@ impl Streams for Tcp {
         let socket = self.socket(index)?;
         let begin = MonotonicClock::read();
         let taken = match self.is_tty {
-            true => write(socket, bytes),
+            true => tty::write(socket, bytes),
             false => send(socket.as_raw_fd(), bytes, MsgFlags::MSG_DONTWAIT | MsgFlags::MSG_NOSIGNAL),
         };
         match taken {

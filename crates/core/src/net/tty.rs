@@ -12,6 +12,8 @@ use std::mem::zeroed;
 use std::os::fd::{AsFd, AsRawFd, BorrowedFd, OwnedFd, RawFd};
 use std::os::unix::fs::{FileTypeExt, OpenOptionsExt};
 
+use nix::errno::Errno;
+
 use super::serial::{Parity, Rs485, SerialLine};
 use crate::errors::no_descriptor;
 
@@ -178,6 +180,21 @@ impl Drop for Descriptor {
             release(&self.fd);
         }
     }
+}
+
+/// Reads what was received. Directly, as [`write`]: a call of libc can be cancelled, which takes some 40 instructions
+/// more in a process of several threads.
+pub fn read(port: &impl AsRawFd, room: &mut [u8]) -> nix::Result<usize> {
+    // SAFETY: the kernel writes the bytes of a live slice.
+    let count = unsafe { libc::syscall(libc::SYS_read, port.as_raw_fd(), room.as_mut_ptr(), room.len()) };
+    Errno::result(count).map(|count| count as usize)
+}
+
+/// Writes the front of `bytes`.
+pub fn write(port: &impl AsRawFd, bytes: &[u8]) -> nix::Result<usize> {
+    // SAFETY: the kernel reads the bytes of a live slice.
+    let count = unsafe { libc::syscall(libc::SYS_write, port.as_raw_fd(), bytes.as_ptr(), bytes.len()) };
+    Errno::result(count).map(|count| count as usize)
 }
 
 /// Drops what was received and not read, and what was written and has not left. False: the port is gone.
