@@ -29,30 +29,31 @@ use fieldbeat_core::rt::Regions;
 use fieldbeat_core::time::Time;
 
 /// A wire and its drives.
+#[repr(C, align(64))] // What each turn touches comes first, up to the front of `line`.
 pub(super) struct ProfibusBus {
     /// The drives whose exchange is queued.
     queue: Queue,
-    /// Those that start up, a bit each.
-    starting: u128,
-    /// The drive whose turn was last: what belongs to nobody is counted for it.
-    last: u8,
+    net: Box<dyn Serial>,
+    stations: Box<[Station]>,
+    /// The shortest time from a turn of each drive to its next one, ns, and when that may begin; none: none has one.
+    intervals: Box<[(u64, Time)]>,
+    upkeep: Upkeep,
+    /// When the telegram under way began.
+    began_at: Time,
     /// So many turns come before one may be acyclic again: each round has room for one.
     acyclic_after: usize,
-    upkeep: Upkeep,
     /// The wire is looked at before anything is sent: always, or in so many cycles more.
     always_looks: bool,
     watchful: u16,
-    /// When the telegram under way began.
-    began_at: Time,
+    /// The drive whose turn was last: what belongs to nobody is counted for it.
+    last: u8,
+    line: Line,
     /// The slot of the grid.
     grid: Time,
-    line: Line,
-    stations: Vec<Station>,
-    net: Box<dyn Serial>,
+    /// The drives that start up, a bit each.
+    starting: u128,
     /// The own slots of each drive: divisor and phase.
     own_slots: Vec<(u64, u64)>,
-    /// The shortest time from a turn of each drive to its next one, ns, and when that may begin; none: none has one.
-    intervals: Box<[(u64, Time)]>,
     others: Others,
     /// When the port was opened.
     opened_at: Time,
@@ -100,25 +101,25 @@ impl ProfibusBus {
         let notes = WireNotes::new(&plan.device, plan.address, known, net.notes());
         let bus = ProfibusBus {
             queue: Queue::default(),
-            starting: 0,
-            last: 0,
-            acyclic_after: 0,
+            net,
+            stations: stations.into(),
+            intervals: if has_intervals { intervals } else { Box::default() },
             upkeep: Upkeep::new(plan),
+            began_at: Time(0),
+            acyclic_after: 0,
             // What an adapter holds back, or returns, is no sign of what is on the wire.
             always_looks: plan.echo || plan.bits.latency_ns > 0,
             watchful: 0,
-            began_at: Time(0),
-            grid: Time(0),
+            last: 0,
             line: Line::new(plan),
-            stations,
+            grid: Time(0),
+            starting: 0,
             own_slots: plan.drives.iter().map(own_slot).collect(),
-            intervals: if has_intervals { intervals } else { Box::default() },
             others: Others::new(),
             opened_at: Time(0),
             end: End::default(),
             waits: 0,
             notes: notes.clone(),
-            net,
             unmatched: Unmatched::default(),
             _lock: lock,
         };
@@ -179,19 +180,20 @@ impl Bus for ProfibusBus {
         }
         self.look(slots);
         self.watchful = self.watchful.saturating_sub(1);
-        let up = self.line.is_up();
-        for (index, slot) in slots.iter_mut().enumerate() {
+        let takes = self.line.is_up() && self.end == End::None;
+        let mut bit = 1_u128;
+        for slot in slots.iter_mut() {
             // One that is queued stays so: here it is made sure of, after a panic in its turn for example.
             let waits = matches!(slot.exchange, Exchange::Idle | Exchange::Missed | Exchange::Queued);
-            if !slot.due || !waits {
-                continue;
+            if slot.due && waits {
+                if takes {
+                    slot.exchange = Exchange::Queued;
+                    self.queue.push(bit);
+                } else {
+                    slot.unsent();
+                }
             }
-            if up && self.end == End::None {
-                slot.exchange = Exchange::Queued;
-                self.queue.push(index as u8);
-            } else {
-                slot.unsent();
-            }
+            bit <<= 1;
         }
         self.go_on(cycle, cycle.grid, slots);
         if self.starting != 0 {
@@ -207,11 +209,16 @@ impl Bus for ProfibusBus {
     }
 
     fn waits(&self, cycle: &Cycle, slots: &[Slot]) -> Waits {
+        if let Some(free_at) = self.line.free_at() {
+            return match self.queue.is_empty() && !self.upkeep.is_round_over() {
+                true => Waits::for_replies(0),
+                false if self.intervals.is_empty() => Waits { replies: 0, poll_at: free_at },
+                false => Waits { replies: 0, poll_at: free_at.max(self.next_turn_at()) },
+            };
+        }
         let owed = self.line.waits_for().and_then(|index| slots.get(usize::from(index)));
         let replies = owed.is_some_and(|slot| slot.exchange.is_waited_for(cycle)).into();
-        let at = self.line.look_at(!self.queue.is_empty() || self.upkeep.is_round_over());
-        let at = at.map(|at| if self.intervals.is_empty() { at } else { at.max(self.next_turn_at()) });
-        Waits { replies, poll_at: at.unwrap_or(Waits::NEVER) }
+        Waits { replies, poll_at: self.line.look_at(false).unwrap_or(Waits::NEVER) }
     }
 
     fn poll(&mut self, cycle: &Cycle, now: Time, slots: &mut [Slot]) {

@@ -19,6 +19,7 @@
 mod answer;
 mod receive;
 
+use self::answer::ANSWER;
 pub use self::answer::{Answer, Expected};
 pub(super) use self::answer::{Heard, Other, Unrelated};
 use super::plan::ProfibusPlan;
@@ -29,9 +30,6 @@ use fieldbeat_core::time::{S, Time};
 
 /// Room for what arrives: an answer, and an own telegram that the adapter returns.
 const INBOX: usize = 2 * MAX;
-/// Bytes of an answer around its data, and of one with a usual diagnosis.
-const ANSWER: usize = 9;
-const DIAGNOSIS: usize = 64;
 /// A telegram with the own address so soon after the wire was claimed is one that the adapter returns, ns. Some come
 /// back within this time if any do, however late they are read.
 const KNOWN_NS: u64 = S;
@@ -98,6 +96,17 @@ enum State {
     Repeating,
 }
 
+/// Whether the adapter returns what is sent.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Echo {
+    /// Nobody has said so, and none has come back.
+    Unknown,
+    /// Nobody has said so, but one has come back.
+    Seen,
+    /// The plan says so.
+    Planned,
+}
+
 /// What the wire is used for, and until when.
 #[derive(Debug)]
 struct Timing {
@@ -125,7 +134,7 @@ pub(super) struct Line {
     retries: u8,
     /// Its own address.
     address: u8,
-    echo: bool,
+    echo: Echo,
     /// Bytes come when they were on the wire, or later.
     is_timed: bool,
     /// What has arrived was there before the request had left.
@@ -144,8 +153,7 @@ pub(super) struct Line {
     latency_ns: u64,
     unanswered_ns: u64,
     claim_ns: u64,
-    /// The adapter returns own telegrams although nobody said so: one has come back before `known_at`.
-    returns: bool,
+    /// What comes back by then shows that the adapter returns it.
     known_at: Time,
     request: [u8; MAX],
     inbox: [u8; INBOX],
@@ -169,11 +177,11 @@ impl Line {
                 idle_ns: bits(plan.bits.idle.max(plan.bits.sync)),
             },
             job: Job::Own,
-            expected: Expected { da: 0, saps: None, acknowledge: false, data: None },
+            expected: Expected::service(0, None, false),
             left: 0,
             retries: plan.retries,
             address: plan.address,
-            echo: plan.echo,
+            echo: if plan.echo { Echo::Planned } else { Echo::Unknown },
             is_timed: false,
             early: false,
             echo_left: 0,
@@ -187,7 +195,6 @@ impl Line {
             latency_ns: plan.bits.latency_ns,
             unanswered_ns: bits(plan.bits.idle_unanswered.max(plan.bits.sync)),
             claim_ns,
-            returns: false,
             known_at: Time(0),
             request: [0; MAX],
             inbox: [0; INBOX],
@@ -231,7 +238,7 @@ impl Line {
 
     /// The adapter returns what is sent, although nobody has said so.
     pub(super) fn returns(&self) -> bool {
-        self.returns && !self.echo
+        self.echo == Echo::Seen
     }
 
     /// All that has arrived was handed out.
@@ -243,14 +250,26 @@ impl Line {
     /// Nothing is under way.
     #[inline]
     pub(super) fn is_free(&self) -> bool {
-        self.timing.state == State::Free
+        matches!(self.timing.state, State::Free)
+    }
+
+    /// Nothing is under way, and the next telegram may leave from then on.
+    #[inline]
+    pub(super) fn free_at(&self) -> Option<Time> {
+        self.is_free().then_some(self.timing.free_at)
+    }
+
+    /// The next telegram may leave at `now`.
+    #[inline]
+    pub(super) fn is_free_at(&self, now: Time) -> bool {
+        self.is_free() && now >= self.timing.free_at
     }
 
     /// Whose answer is waited for.
     #[inline]
     pub(super) fn waits_for(&self) -> Option<u8> {
         match self.job {
-            Job::Drive(index) if self.timing.state != State::Free => Some(index),
+            Job::Drive(index) if !self.is_free() => Some(index),
             _ => None,
         }
     }
@@ -267,10 +286,9 @@ impl Line {
     }
 
     /// What is to be done at `now`. What has arrived until then was handed over.
-    #[inline]
     pub(super) fn ready(&mut self, now: Time) -> Ready {
         match self.timing.state {
-            State::Free if now >= self.timing.free_at => Ready::Free,
+            State::Free if self.is_free_at(now) => Ready::Free,
             State::Waiting if now >= self.timing.overdue_at => self.overdue(now),
             State::Free | State::Waiting | State::Closed => Ready::Wait,
             State::Sending if now >= self.timing.overdue_at => Ready::Resend,
@@ -338,22 +356,22 @@ impl Line {
         if let Some(length) = head.emit(&[], &mut self.request) {
             self.begin(Job::Gap(address), length);
             self.left = 0;
-            self.expected = Expected { da: address, saps: None, acknowledge: false, data: Some(0) };
+            self.expected = Expected::exchange(address, self.address, 0);
         }
     }
 
     /// The next telegram is the request of drive `index` that `write` writes, and what its answer is; `None`: it is
-    /// none.
+    /// none. Returns what the driver is to take.
     #[inline]
     pub(super) fn request(
         &mut self,
         index: u8,
         write: impl FnOnce(&mut [u8; MAX]) -> Option<(usize, Expected)>,
-    ) -> bool {
-        let Some((length, expected)) = write(&mut self.request) else { return false };
+    ) -> Option<&[u8]> {
+        let (length, expected) = write(&mut self.request)?;
         self.begin(Job::Drive(index), length);
         self.expected = expected;
-        true
+        self.request.get(..length)
     }
 
     #[inline]
@@ -372,7 +390,7 @@ impl Line {
     /// given up.
     #[inline]
     pub(super) fn sent(&mut self, at: Time, count: usize) -> bool {
-        if count >= self.to_send().len() && self.taken == 0 {
+        if self.taken == 0 && count >= usize::from(self.length) {
             self.left_for_wire(at);
             return true;
         }
@@ -405,7 +423,7 @@ impl Line {
     #[inline]
     fn left_for_wire(&mut self, at: Time) {
         let ends = at + self.span_ns(usize::from(self.length));
-        self.echo_left = if self.echo { self.length } else { 0 };
+        self.echo_left = if self.echo == Echo::Planned { self.length } else { 0 };
         if self.job != Job::Own {
             (self.timing.state, self.timing.overdue_at) = (State::Waiting, ends + self.slot_ns);
             (self.timing.free_at, self.timing.answer_by) = (ends, ends + self.answer_ns);
@@ -415,7 +433,10 @@ impl Line {
         self.timing.free_at = ends + if is_token { self.timing.idle_ns } else { self.unanswered_ns };
         self.timing.state = match self.timing.state {
             State::Claiming(sent) => {
-                (self.returns, self.known_at) = (false, at + KNOWN_NS);
+                self.known_at = at + KNOWN_NS;
+                if self.echo == Echo::Seen {
+                    self.echo = Echo::Unknown;
+                }
                 State::Claiming(sent + 1)
             }
             _ => State::Free,
@@ -437,20 +458,15 @@ impl Line {
             return took_ns;
         }
         let saps = if self.expected.saps.is_some() { 2 } else { 0 };
-        let bytes = usize::from(self.length) + ANSWER + saps + data;
+        let bytes = usize::from(self.length) + usize::from(ANSWER) + saps + data;
         took_ns.min(self.span_ns(bytes) + self.answer_ns - self.latency_ns)
     }
 
     /// The longest time from the begin of the telegram until it is closed, with all its repetitions.
     #[inline]
     pub(super) fn closed_within_ns(&self) -> u64 {
-        let answer = match self.expected {
-            Expected { data: Some(data), .. } => usize::from(data) + ANSWER,
-            // An acyclic answer may have any length, a diagnosis is short.
-            Expected { acknowledge: true, .. } => MAX,
-            Expected { .. } => DIAGNOSIS,
-        };
-        let once = self.span_ns(usize::from(self.length) + answer) + self.slot_ns + self.timing.idle_ns;
+        let bytes = usize::from(self.length) + usize::from(self.expected.longest);
+        let once = self.span_ns(bytes) + self.slot_ns + self.timing.idle_ns;
         once * (u64::from(self.left) + 1)
     }
 }

@@ -43,10 +43,9 @@ parts! {
     NativeOutput { mask, words }
 }
 
-/// The words that an application sees of the process data behind the parameter channel.
-#[inline]
-pub(super) fn words(process: &[u8]) -> &[u8] {
-    &process[..process.len().min(2 * NATIVE_WORDS) / 2 * 2]
+/// The bytes of the words that an application sees, of so many bytes behind the parameter channel.
+pub(super) fn seen(bytes: usize) -> usize {
+    bytes.min(2 * NATIVE_WORDS) / 2 * 2
 }
 
 impl NativeOutput {

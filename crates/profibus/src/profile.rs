@@ -74,32 +74,50 @@ impl State {
 
 /// The profile of one drive.
 #[derive(Debug)]
-#[repr(C)] // What an exchange touches in any case comes first.
+#[repr(C, align(64))] // What each exchange looks at is on one cache line, with the revisions at the end of `state`.
 pub(super) struct Profile {
     state: Prepared<State>,
-    /// Of the telegram that is built: the drive follows the set point, the application writes some outputs, the control
-    /// word, and the velocity of its set point.
-    runs: bool,
-    is_native: bool,
-    control: u16,
+    /// Of the telegram that is built: the velocity of its set point, the control word, the set point, and whether the
+    /// drive follows it.
     velocity: f64,
+    control: u16,
+    setpoint: i16,
+    runs: bool,
+    /// What is desired was sent, and is proved.
+    is_steady: bool,
+    /// The set point that was sent last.
+    turning: i16,
     /// Counts of one user unit/s; negative if the axis is inverted.
     scale: f64,
-    /// New telegrams that were answered.
+    /// New telegrams that were answered while something was not proved.
     answers: u64,
     power: Delivery,
     motion: Delivery,
-    /// What is desired was sent, and is proved, as long as this is the revision of the state.
-    steady: Option<u64>,
-    setpoint: i16,
-    /// The set point that was sent last.
-    turning: i16,
-    /// The drive's watchdog was seen on, or nothing needs one.
-    watched: bool,
-    needs_watchdog: bool,
+    watch: Watch,
     profile: DriveProfile,
     ramp_bits: u16,
     enable_bit: Option<StatusBit>,
+}
+
+/// What is known of the drive's watchdog.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Watch {
+    /// Nothing needs one.
+    Needless,
+    /// It was not seen on.
+    Missing,
+    /// It was seen on.
+    On,
+}
+
+/// What the next telegram has to carry that the one built before it has not.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Change {
+    Nothing,
+    /// The set point.
+    Setpoint,
+    /// All of its outputs.
+    Outputs,
 }
 
 /// What a drive can do.
@@ -127,40 +145,40 @@ impl Profile {
     pub(super) fn new(drive: &LenzeDrive) -> Profile {
         Profile {
             state: Prepared::new(State::default()),
-            runs: false,
-            is_native: false,
-            control: 0,
             velocity: 0.0,
+            control: 0,
+            setpoint: 0,
+            runs: false,
+            is_steady: false,
+            turning: 0,
             scale: drive.counts_per_velocity(),
             answers: 0,
             power: Delivery::default(),
             motion: Delivery::default(),
-            steady: None,
-            setpoint: 0,
-            turning: 0,
-            watched: false,
-            needs_watchdog: drive.watchdog.timeout_ns.is_some(),
+            watch: if drive.watchdog.timeout_ns.is_some() { Watch::Missing } else { Watch::Needless },
             profile: drive.profile,
             ramp_bits: if drive.ramp_bits { RAMP } else { 0 },
             enable_bit: drive.enable_bit,
         }
     }
 
-    /// The control word and the set point that are desired with the next telegram, if they are others than in the last
-    /// one that was built.
+    /// Builds what is desired with the next telegram, anew if the application may write some of it.
     #[inline]
-    pub(super) fn encode(&mut self, desired: &Desired, native: &mut NativePort) -> Option<(u16, i16)> {
-        if self.is_native || !self.state.holds(desired.revision()) {
+    pub(super) fn encode(&mut self, desired: &Desired, native: &mut NativePort, anew: bool) -> Change {
+        let change = if anew || !self.state.holds(desired.revision()) {
             self.build(desired, native);
+            Change::Outputs
         } else if desired.setpoint.velocity == self.velocity {
-            return None;
-        }
+            return Change::Nothing;
+        } else {
+            Change::Setpoint
+        };
         self.velocity = desired.setpoint.velocity;
         // Rounded by hand: without SSE4.1 `round` is a call. A plan whose velocities do not fit is refused; the rest
         // saturates.
         let raw = if self.runs { self.velocity * self.scale } else { 0.0 };
         self.setpoint = (raw + 0.5_f64.copysign(raw)) as i16;
-        Some((self.control, self.setpoint))
+        change
     }
 
     /// Something else is desired, or written by the application.
@@ -184,7 +202,6 @@ impl Profile {
         }
         let halted = motion.value == Motion::Halt;
         self.runs = power.value == Power::EnableOperation && !halted;
-        self.is_native = state.native_owner.is_some();
         let word = match power.value {
             Power::Untouched | Power::Off => Control::INHIBIT,
             Power::Shutdown => Control::SHUTDOWN,
@@ -212,14 +229,8 @@ impl Profile {
     }
 
     /// The control word and the set point of the telegram that is built.
-    pub(super) fn values(&self) -> (u16, i16) {
-        (self.control, self.setpoint)
-    }
-
-    /// Native mode runs with the telegram that is built.
-    #[inline]
-    pub(super) fn is_native(&self) -> bool {
-        self.is_native
+    pub(super) fn values(&self) -> (u16, u16) {
+        (self.control, self.setpoint as u16)
     }
 
     /// A report has changed what the next telegram was built from.
@@ -234,35 +245,36 @@ impl Profile {
         self.state.proposed().serials != self.state.left().serials
     }
 
-    /// The telegram with the outputs that were built last has left; of one that is repeated, once.
+    /// The telegram with the outputs that were built last has left; of one that is repeated, once. Whether native mode
+    /// runs, if that may be new.
     #[inline]
-    pub(super) fn sent(&mut self, native: &mut NativePort) {
+    pub(super) fn sent(&mut self, native: &mut NativePort) -> Option<bool> {
         self.turning = self.setpoint;
-        if self.state.is_proposed() {
-            self.sent_new(native);
-        }
+        if self.state.is_proposed() { self.sent_new(native) } else { None }
     }
 
     #[inline(never)]
-    fn sent_new(&mut self, native: &mut NativePort) {
-        let Some((before, state)) = self.state.leave() else { return };
+    fn sent_new(&mut self, native: &mut NativePort) -> Option<bool> {
+        let (before, state) = self.state.leave()?;
+        self.is_steady = false;
         let State { serials, native_taken, native_owner, .. } = state;
         self.power.sent(serials.0, self.answers);
         self.motion.sent(serials.1, self.answers);
         let begins = serials.1 != before.serials.1;
         native.left(*native_taken != before.native_taken, begins.then_some(native_owner.is_some()));
+        Some(native_owner.is_some())
     }
 
     /// A new telegram was answered.
     #[inline]
     pub(super) fn answered(&mut self) {
-        self.answers += 1;
+        self.answers += u64::from(!self.is_steady);
     }
 
     /// The drive has left Data_Exchange: what is sent from now on is proved anew. `watched`: its watchdog is on, as far
     /// as that is known.
     pub(super) fn dropped(&mut self) {
-        (self.power.since, self.motion.since, self.steady) = (self.answers, self.answers, None);
+        (self.power.since, self.motion.since, self.is_steady) = (self.answers, self.answers, false);
         self.state.change(|state| {
             let NativeOutput { mask, words: [control, ..] } = state.output;
             state.leave_native();
@@ -275,7 +287,10 @@ impl Profile {
 
     /// Its diagnosis reports its watchdog as on, or off.
     pub(super) fn watchdog_is(&mut self, on: bool) {
-        (self.watched, self.steady) = (on || !self.needs_watchdog, None);
+        self.is_steady = false;
+        if self.watch != Watch::Needless {
+            self.watch = if on { Watch::On } else { Watch::Missing };
+        }
     }
 
     /// Its state by the status word.
@@ -302,7 +317,7 @@ impl Profile {
     /// The next report proves the same, if its status is the same.
     #[inline]
     pub(super) fn is_steady(&self) -> bool {
-        self.steady == Some(self.state.revision())
+        self.is_steady
     }
 
     /// What a report proves.
@@ -311,19 +326,18 @@ impl Profile {
         accepted.power = self.power.accepted(self.answers, accepted.power);
         accepted.motion = self.motion.accepted(self.answers, accepted.motion);
         evidence.outputs_count = true;
-        evidence.is_set_up = self.watched;
-        evidence.obstacle = (!self.watched).then_some(NOT_WATCHED);
+        evidence.is_set_up = self.watch != Watch::Missing;
+        evidence.obstacle = (self.watch == Watch::Missing).then_some(NOT_WATCHED);
         let faulted = inputs.faulted();
         let resettable = match inputs.state {
             Cia402::FaultReactionActive => Resettable::At(Time(u64::MAX)),
             _ => Resettable::Now,
         };
         evidence.fault = FaultIs { active: faulted, named: !faulted || inputs.named, resettable };
-        let is_steady = self.state.left().native_owner.is_none()
+        self.is_steady = self.state.left().native_owner.is_none()
             && self.power.is_delivered(self.answers)
             && self.motion.is_delivered(self.answers)
             && (!faulted || inputs.named);
-        self.steady = is_steady.then(|| self.state.revision());
     }
 }
 

@@ -41,10 +41,13 @@ pub(super) enum Step {
 
 /// The start-up of one drive.
 #[derive(Debug)]
+#[repr(C)] // What each exchange looks at comes first.
 pub(super) struct StartUp {
     step: Step,
     /// The next step follows with the drive's next slot; else it is tried again like a drive that does not answer.
     is_due: bool,
+    /// It was in Data_Exchange, and has not come back yet.
+    was_lost: bool,
     checks: u32,
     note: Note,
     /// Why it has left Data_Exchange, until it exchanges data again.
@@ -85,6 +88,7 @@ impl StartUp {
         Some(StartUp {
             step: Step::Diagnose,
             is_due: false,
+            was_lost: false,
             checks: 0,
             note: Note::None,
             left: Note::None,
@@ -111,16 +115,18 @@ impl StartUp {
         self.step == Step::Exchange
     }
 
-    /// The drive exchanges data, and has its turns.
+    /// The drive exchanges data, and has its turns. True: again, after it had left Data_Exchange.
     #[inline]
-    pub(super) fn settled(&mut self) {
+    pub(super) fn settled(&mut self) -> bool {
         (self.is_due, self.left) = (false, Note::None);
         (self.refusals, self.not_before) = (0, Time(0));
+        std::mem::take(&mut self.was_lost)
     }
 
     /// The drive exchanges no data any more, for this reason.
     pub(super) fn left(&mut self, now: Time, why: Note) {
         self.left = why;
+        self.was_lost |= self.is_over();
         if self.is_over() && self.is_due {
             // Nor has it ever.
             self.refuse_setup(now, self.note);

@@ -3,6 +3,9 @@
 //! It takes instants and slices, and knows no port. What is desired of the drive becomes outputs in `profile`, which
 //! `telegram` sends. `answer` is what an answer changes, `report` what it says of the drive.
 //!
+//! The outputs are built in the turn: what is desired stays the same since the preparation. Native writes and acyclic
+//! calls, which may come at any time, are taken with the preparation.
+//!
 //! Telegrams of the start-up are no exchanges: a slot that is due is unsent until the drive is in Data_Exchange. From
 //! then on a turn is Data_Exchange, or in its place a diagnosis that the drive has announced, or an MSAC1 request. A
 //! drive that does not answer is sent what is desired of it all the same, since it may be the stop; once its link is
@@ -17,10 +20,10 @@ use self::telegram::Telegram;
 use super::acyclic::{Acyclic, Turn};
 use super::counters::Own;
 use super::line::Expected;
-use super::native::{NATIVE_WORDS, Native, NativePort};
+use super::native::{NATIVE_WORDS, Native, NativePort, seen};
 use super::notes::Note;
 use super::plan::LenzeDrive;
-use super::profile::{Inputs, Profile};
+use super::profile::{Change, Inputs, Profile};
 use super::start_up::{StartUp, WANTED};
 use super::target::commanding;
 use super::wire::dp::station_status;
@@ -56,50 +59,46 @@ enum Sending {
 
 /// One drive.
 #[derive(Debug)]
-#[repr(C, align(64))] // What each exchange touches comes first.
+#[repr(C, align(64))] // What each exchange touches is on a cache line at the begin, and on one of each part.
 pub struct Station {
     /// The slot of the grid that the outputs are built for, and the end of its window.
     grid: Time,
     window_end: Time,
+    inputs: Inputs,
+    shown: Box<[Shown]>,
     sending: Sending,
     /// The count bits of the next new telegram.
     count: u8,
     address: u8,
-    own: u8,
-    guarded: bool,
+    /// The end of the inputs that the application sees.
+    seen_to: u8,
     /// A diagnosis is due.
     diagnosis_due: bool,
     /// The last turn was no Data_Exchange.
     passed_over: bool,
-    /// It was in Data_Exchange once, and is not any more.
-    was_lost: bool,
-    /// Diagnoses since a fault began.
-    unnamed: u8,
+    /// Native mode runs: a telegram with it has left.
+    is_native: bool,
     /// Exchanges and diagnoses that it refused (UE, RR) since the last one that it answered.
     refused: u8,
+    /// So many answers in a row came behind the window of their request.
+    slow: u8,
     process_at: u8,
     set_point_at: u8,
     actual_at: u8,
-    inputs_len: u8,
     /// It moves from so many counts of its actual value on.
     moves_from: u16,
-    /// Its last telegram was answered.
-    was_answered: bool,
-    /// So many answers in a row came behind the window of their request.
-    slow: u8,
-    fault_at: Option<u8>,
+    /// Diagnoses since a fault began.
+    unnamed: u8,
+    own: u8,
     start_up: StartUp,
+    profile: Profile,
     velocity_per_count: f64,
-    inputs: Inputs,
+    native: NativePort,
+    acyclic: Acyclic,
     /// Data_Exchange as it is sent next; its outputs behind the parameter channel where the application writes none.
     telegram: Telegram,
     own_outputs: Box<[u8]>,
-    /// The application writes some of them with this telegram.
-    has_native: bool,
-    pub(super) profile: Profile,
-    native: NativePort,
-    acyclic: Acyclic,
-    shown: Box<[Shown]>,
+    fault_at: Option<u8>,
     unlock: [u8; 7],
 }
 
@@ -122,35 +121,32 @@ impl Station {
         let [high, low] = drive.ident.to_be_bytes();
         let mut station = Station {
             grid: Time(0),
+            window_end: Time(0),
+            inputs: Inputs::default(),
+            shown: Shown::all(drive, |at| word(at, inputs)),
             sending: Sending::StartUp,
             count: FIRST,
             address: drive.address,
-            own,
-            guarded: false,
+            seen_to: (process_at + seen(inputs - process_at)) as u8,
             diagnosis_due: false,
             passed_over: false,
-            was_lost: false,
-            unnamed: 0,
+            is_native: false,
             refused: 0,
+            slow: 0,
             process_at: process_at as u8,
             set_point_at: word(drive.scale.set_point, outputs)?,
             actual_at: word(drive.scale.actual, inputs)?,
-            inputs_len: u8::try_from(inputs).ok()?,
             moves_from: (drive.scale.full_count.unsigned_abs() / MOVES_FROM).max(1),
-            was_answered: false,
-            slow: 0,
-            window_end: Time(0),
-            fault_at: drive.fault_at,
+            unnamed: 0,
+            own,
             start_up: StartUp::new(drive, own)?,
-            velocity_per_count: 1.0 / scale,
-            inputs: Inputs::default(),
-            telegram: Telegram::new(drive.address, own, outputs)?,
-            own_outputs: Box::default(),
-            has_native: false,
             profile: Profile::new(drive),
+            velocity_per_count: 1.0 / scale,
             native,
             acyclic: Acyclic::new(drive, port),
-            shown: Shown::all(drive, |at| word(at, inputs)),
+            telegram: Telegram::new(drive.address, own, outputs, inputs)?,
+            own_outputs: Box::default(),
+            fault_at: drive.fault_at,
             unlock: [station_status::UNLOCK, 0, 0, 0, high, low, 0],
         };
         let set_point = usize::from(drive.scale.set_point);
@@ -172,7 +168,6 @@ impl Station {
 
     /// Adds what it touches besides itself, to be locked.
     pub(super) fn memory(&self, regions: &mut Regions) {
-        regions.add(self.telegram.bytes());
         regions.add(&*self.own_outputs);
         regions.add(self.start_up.wanted());
         regions.add(&*self.shown);
@@ -199,7 +194,7 @@ impl Station {
 
     /// Its last telegram was answered.
     pub(super) fn was_answered(&self) -> bool {
-        self.was_answered
+        self.count != FIRST
     }
 
     /// Why it is not in Data_Exchange, unless its diagnosis is to say so first.
@@ -212,55 +207,50 @@ impl Station {
         self.start_up.wanted()
     }
 
-    /// Builds the outputs of the next send in place. Built again for the same send, they are the same: state that
-    /// changes with every telegram changes in [`sent`](Self::sent).
+    /// Takes what the application has written since the last turn into the next one. Called again for the same send,
+    /// it is the same: state that changes with every telegram changes in [`sent`](Self::sent).
     #[inline]
     pub fn prepare(&mut self, cycle: &Cycle, slot: &mut Slot) {
         (self.grid, self.window_end) = (cycle.grid, cycle.deadline);
-        self.prepare_outputs(slot);
-        if !self.acyclic.is_idle() || self.guarded != slot.guarded {
-            self.prepare_acyclic(slot);
-        } else {
+        if self.is_native {
+            self.build(slot);
+        }
+        if self.acyclic.is_idle_as(slot.guarded) {
             slot.commanded = false;
+        } else {
+            self.prepare_acyclic(slot);
         }
     }
 
+    /// Builds the outputs of the next telegram in place.
     #[inline]
-    fn prepare_outputs(&mut self, slot: &Slot) {
-        let values = self.profile.encode(&slot.desired, &mut self.native);
-        if self.has_native || self.profile.is_native() {
-            self.prepare_native();
-        } else if let Some(values) = values {
-            self.put(values);
+    fn build(&mut self, slot: &Slot) {
+        match self.profile.encode(&slot.desired, &mut self.native, self.is_native) {
+            Change::Nothing => {}
+            Change::Setpoint => self.telegram.put(self.set_point_at, self.profile.values().1),
+            Change::Outputs => self.put_outputs(),
         }
     }
 
-    #[inline]
-    fn put(&mut self, (control, setpoint): (u16, i16)) {
-        self.telegram.put(self.process_at, control);
-        self.telegram.put(self.set_point_at, setpoint as u16);
-    }
-
-    /// All outputs anew, where the application writes some, or did: what it wrote in native modes before this one, the
-    /// control word and the set point, and what it writes in this one.
+    /// All outputs anew: what the application wrote in native modes before this one, the control word and the set
+    /// point, and what it writes in this one.
     #[inline(never)]
-    fn prepare_native(&mut self) {
+    fn put_outputs(&mut self) {
         let (kept, own) = (self.profile.kept(), &self.own_outputs);
         self.telegram.change(self.process_at, |outputs| {
             outputs.copy_from_slice(own);
             kept.put(false, outputs);
         });
-        self.put(self.profile.values());
-        let output = self.profile.native();
-        self.has_native = output.is_some();
-        if let Some((output, whole)) = output {
+        let (control, setpoint) = self.profile.values();
+        self.telegram.put(self.process_at, control);
+        self.telegram.put(self.set_point_at, setpoint);
+        if let Some((output, whole)) = self.profile.native() {
             self.telegram.change(self.process_at, |outputs| output.put(whole, outputs));
         }
     }
 
     #[inline(never)]
     fn prepare_acyclic(&mut self, slot: &mut Slot) {
-        self.guarded = slot.guarded;
         self.acyclic.advance(self.grid, slot.link, self.start_up.is_over(), slot.guarded);
         slot.commanded = self.acyclic.commands();
         if self.process_at > 0 {
@@ -281,7 +271,8 @@ impl Station {
         outputs.get(..2 * NATIVE_WORDS).unwrap_or(outputs)
     }
 
-    /// Writes the telegram of its turn, which may be acyclic or not, and returns its length and what answers it.
+    /// Builds and writes the telegram of its turn, which may be acyclic or not, and returns its length and what answers
+    /// it.
     #[inline]
     pub fn request(
         &mut self,
@@ -289,8 +280,9 @@ impl Station {
         may_be_acyclic: bool,
         out: &mut [u8; MAX],
     ) -> Option<(usize, Expected)> {
-        if self.profile.is_void() {
-            self.prepare_outputs(slot);
+        // What the application writes natively was taken with the preparation.
+        if !self.is_native || self.profile.is_void() {
+            self.build(slot);
         }
         let usual = self.start_up.is_over() && slot.link == Link::Online && !self.diagnosis_due;
         if !usual || self.acyclic.data_unit().is_some() {
@@ -300,10 +292,7 @@ impl Station {
             }
         }
         self.sending = Sending::DataExchange;
-        let length = self.telegram.emit(self.count, out)?;
-        let expected =
-            Expected { da: self.address, saps: None, acknowledge: false, data: Some(self.inputs_len) };
-        Some((length, expected))
+        self.telegram.emit(self.count, out)
     }
 
     /// What its turn is used for.
@@ -334,7 +323,7 @@ impl Station {
         let mut head = service.head(self.address, self.own, false, false);
         head.fc.0 |= self.count;
         let acknowledge = !matches!(service, Service::SlaveDiag);
-        let expected = Expected { da: self.address, saps: service.saps(), acknowledge, data: None };
+        let expected = Expected::service(self.address, service.saps(), acknowledge);
         Some((head.emit(data, out)?, expected))
     }
 
@@ -358,7 +347,9 @@ impl Station {
         }
         self.passed_over = false;
         slot.gone.grid = Some(self.grid);
-        self.profile.sent(&mut self.native);
+        if let Some(is_native) = self.profile.sent(&mut self.native) {
+            self.is_native = is_native;
+        }
         if !self.acyclic.is_idle() {
             self.acyclic.sent(Turn::DataExchange);
         }

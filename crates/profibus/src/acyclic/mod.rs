@@ -81,10 +81,13 @@ type Read = (u64, Kind);
 
 /// The acyclic access to one drive.
 #[derive(Debug)]
+#[repr(C, align(64))] // What each exchange looks at is on one cache line.
 pub(super) struct Acyclic {
-    calls: Calls,
     /// A request is under way, a call waits, or the channel has to be sent.
     is_busy: bool,
+    /// Calls that command the drive are refused.
+    guarded: bool,
+    calls: Calls,
     channel: Channel,
     work: Box<Work>,
 }
@@ -159,7 +162,7 @@ impl Acyclic {
             requests: Requests::new(path),
         };
         let calls = Calls::new(port, NOT_READ, NOT_LOADED);
-        Acyclic { calls, is_busy: true, channel: Channel::new(path), work: Box::new(work) }
+        Acyclic { is_busy: true, guarded: false, calls, channel: Channel::new(path), work: Box::new(work) }
     }
 
     /// Adds what it touches besides itself, to be locked.
@@ -168,16 +171,28 @@ impl Acyclic {
         regions.add(&*self.work);
     }
 
-    /// Nothing is to be done: no call runs, none is posted, and calls that command the drive are refused or not as it
-    /// knows. Checked in each turn, so that nothing else is.
+    /// Nothing is to be done: no call runs, and none is posted. Checked in each turn, so that nothing else is.
     #[inline]
     pub(super) fn is_idle(&self) -> bool {
         !self.is_busy && self.calls.is_empty()
     }
 
+    /// A call runs, or the channel has to be sent.
+    #[inline]
+    pub(super) fn is_busy(&self) -> bool {
+        self.is_busy
+    }
+
+    /// Nothing is to be done either for calls that command the drive: they are refused, or not, as it knows.
+    #[inline]
+    pub(super) fn is_idle_as(&self, guarded: bool) -> bool {
+        self.guarded == guarded && self.is_idle()
+    }
+
     /// Takes the next call, and ends those that are over. `guarded`: calls that command the drive are refused.
     /// `exchanges`: the drive is in Data_Exchange.
     pub(super) fn advance(&mut self, now: Time, link: Link, exchanges: bool, guarded: bool) {
+        self.guarded = guarded;
         self.calls.guard(guarded);
         let online = exchanges && !matches!(link, Link::Unseen | Link::Lost);
         if !online {

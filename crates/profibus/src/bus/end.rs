@@ -51,7 +51,7 @@ impl ProfibusBus {
             }
             End::Unlock(index) => {
                 let Some(station) = self.stations.get_mut(usize::from(index)) else { return true };
-                if station.unlocks() && self.line.request(index, |out| station.unlock(out)) {
+                if station.unlocks() && self.line.request(index, |out| station.unlock(out)).is_some() {
                     self.hand_over(slots);
                 }
                 End::Unlock(index + 1)

@@ -17,10 +17,10 @@ impl Queue {
         self.waiting == 0
     }
 
-    /// This drive waits.
+    /// The drive of this bit waits.
     #[inline]
-    pub(super) fn push(&mut self, index: u8) {
-        self.waiting |= 1 << (index & 0x7F);
+    pub(super) fn push(&mut self, bit: u128) {
+        self.waiting |= bit;
     }
 
     /// The drives that wait.
@@ -34,12 +34,13 @@ impl Queue {
         let waiting = self.waiting & may;
         let behind = waiting & self.behind;
         let of = if behind == 0 { waiting } else { behind };
-        let bit = of & of.wrapping_neg();
-        if bit == 0 {
+        if of == 0 {
             return None;
         }
-        self.waiting ^= bit;
-        self.behind = !(bit | (bit - 1));
+        // All bits up to its own.
+        let done = of ^ (of - 1);
+        self.waiting ^= of & done;
+        self.behind = !done;
         Some(of.trailing_zeros() as u8)
     }
 }
@@ -52,10 +53,10 @@ mod tests {
     fn all_have_their_turn_before_one_has_it_again() {
         let mut queue = Queue::default();
         assert_eq!((queue.pop(ALL), queue.is_empty()), (None, true));
-        [125, 0, 7].into_iter().for_each(|index| queue.push(index));
+        [125, 0, 7].into_iter().for_each(|index| queue.push(1 << index));
         assert_eq!((queue.pop(1 << 3), queue.pop(ALL)), (None, Some(0)));
         // Behind the last one, and before it.
-        [3, 0].into_iter().for_each(|index| queue.push(index));
+        [3, 0].into_iter().for_each(|index| queue.push(1 << index));
         // One that may not yet is passed over, and comes with the next round.
         assert_eq!(queue.pop(!(1 << 3)), Some(7));
         assert_eq!(std::array::from_fn(|_| queue.pop(ALL)), [Some(125), Some(0), Some(3), None]);

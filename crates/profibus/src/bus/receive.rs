@@ -56,13 +56,11 @@ impl ProfibusBus {
                     let place = usize::from(index);
                     if let (Some(station), Some(slot)) = (self.stations.get_mut(place), slots.get_mut(place))
                     {
-                        let usual = station.exchanges() && !station.starts();
                         let bytes = if let Answer::Data { data, .. } = answer { data.len() } else { 0 };
-                        station.answered(at, answer, slot);
+                        let has_changed = station.answered(at, answer, slot);
                         let took_ns = self.line.took_ns(self.began_at, bytes);
                         slot.counters.own[Own::WireUs as usize] += took_ns / 1_000;
-                        // The answer to its first exchange ends the start-up.
-                        if !usual || station.starts() {
+                        if has_changed {
                             self.changed(index);
                         }
                     }

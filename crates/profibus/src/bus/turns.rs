@@ -16,19 +16,12 @@ const MOST_STEPS: usize = 16;
 
 impl ProfibusBus {
     /// Continues with what is due at `now`.
+    #[inline(always)] // Once for the first turn of a window, and for each further one.
     pub(super) fn go_on(&mut self, cycle: &Cycle, now: Time, slots: &mut [Slot]) {
         for _ in 0..MOST_STEPS {
-            let goes_on = match self.line.ready(now) {
-                Ready::Wait => false,
-                Ready::Free => self.start_next(cycle, now, slots),
-                Ready::Resend => self.hand_over(slots),
-                Ready::Claim => {
-                    // It was silent.
-                    self.notes.set_other(None);
-                    self.hand_over(slots);
-                    false
-                }
-                Ready::Overdue { job, instead, failed } => self.overdue(now, job, instead, failed, slots),
+            let goes_on = match self.line.is_free_at(now) {
+                true => self.start_next(cycle, now, slots),
+                false => self.step(now, slots),
             };
             if !goes_on {
                 return;
@@ -36,14 +29,26 @@ impl ProfibusBus {
         }
     }
 
-    /// Hands the telegram to the driver; false: none of it has left.
-    pub(super) fn hand_over(&mut self, slots: &mut [Slot]) -> bool {
+    /// Continues with what is under way; false: nothing more can be done now.
+    #[inline(never)]
+    fn step(&mut self, now: Time, slots: &mut [Slot]) -> bool {
+        match self.line.ready(now) {
+            Ready::Wait => return false,
+            Ready::Free => return true,
+            Ready::Overdue { job, instead, failed } => return self.overdue(now, job, instead, failed, slots),
+            // It was silent.
+            Ready::Claim => self.notes.set_other(None),
+            Ready::Resend => {}
+        }
+        self.hand_over(slots);
+        false
+    }
+
+    /// Hands the telegram to the driver.
+    pub(super) fn hand_over(&mut self, slots: &mut [Slot]) {
         match self.net.send(0, self.line.to_send()) {
-            Ok((at, count)) => self.line.sent(at, count),
-            Err(broken) => {
-                self.broken(broken, slots);
-                false
-            }
+            Ok((at, count)) => _ = self.line.sent(at, count),
+            Err(broken) => self.broken(broken, slots),
         }
     }
 
@@ -88,11 +93,15 @@ impl ProfibusBus {
     #[inline]
     fn start_next(&mut self, cycle: &Cycle, now: Time, slots: &mut [Slot]) -> bool {
         if self.upkeep.control_is_due(now, !self.queue.is_empty()) {
-            return self.control(now, GlobalControl::OPERATE, slots);
+            self.control(now, GlobalControl::OPERATE, slots);
+            return false;
         }
         let may = if self.intervals.is_empty() { ALL } else { self.may_begin(now) };
         let Some(index) = self.queue.pop(may) else {
-            return self.upkeep.is_round_over() && self.end_round(cycle, now, slots);
+            if self.upkeep.is_round_over() {
+                self.end_round(cycle, now, slots);
+            }
+            return false;
         };
         self.last = index;
         if self.queue.is_empty() {
@@ -106,11 +115,11 @@ impl ProfibusBus {
             return true;
         }
         let may_be_acyclic = self.acyclic_after == 0;
-        if !self.line.request(index, |out| station.request(slot, may_be_acyclic, out)) {
+        let Some(request) = self.line.request(index, |out| station.request(slot, may_be_acyclic, out)) else {
             slot.unsent();
             return true;
-        }
-        match self.net.send(0, self.line.to_send()) {
+        };
+        match self.net.send(0, request) {
             Ok((at, count)) if self.line.sent(at, count) => {
                 self.began_at = at;
                 if let Some((least_ns, not_before)) = self.intervals.get_mut(place) {
@@ -148,11 +157,11 @@ impl ProfibusBus {
         self.intervals.iter().enumerate().fold(0, |may, drive| may | bit(drive))
     }
 
-    /// When the first of the drives that wait may have its turn, if the wire is free and nothing else is to be sent.
+    /// When the first of the drives that wait may have its turn on the free wire, if nothing else is to be sent.
     #[cold]
     pub(super) fn next_turn_at(&self) -> Time {
         let waiting = self.queue.waiting();
-        if !self.line.is_free() || waiting == 0 || self.upkeep.is_round_over() {
+        if waiting == 0 || self.upkeep.is_round_over() {
             return Time(0);
         }
         let waits = |(index, _): &(usize, &(u64, Time))| waiting >> index & 1 != 0;
@@ -162,21 +171,23 @@ impl ProfibusBus {
 
     /// Tells all drives that what they are sent counts, or not.
     #[cold]
-    pub(super) fn control(&mut self, now: Time, command: u8, slots: &mut [Slot]) -> bool {
+    pub(super) fn control(&mut self, now: Time, command: u8, slots: &mut [Slot]) {
         self.upkeep.controlled(now);
         let data = GlobalControl { command, groups: 0 }.data();
-        self.line.broadcast(&global_control(self.line.address()), &data) && self.hand_over(slots)
+        if self.line.broadcast(&global_control(self.line.address()), &data) {
+            self.hand_over(slots);
+        }
     }
 
     /// Behind the turns of a round, in what is left of the window: a token, or a search for another master.
-    fn end_round(&mut self, cycle: &Cycle, now: Time, slots: &mut [Slot]) -> bool {
+    fn end_round(&mut self, cycle: &Cycle, now: Time, slots: &mut [Slot]) {
         let is_station = |address| self.stations.iter().any(|station| station.address() == address);
         match self.upkeep.behind_round(now < cycle.deadline, is_station) {
-            None => return false,
+            None => return,
             Some(Behind::Token) => self.line.token(),
             Some(Behind::Gap(address)) => self.line.gap(address),
         }
-        self.hand_over(slots)
+        self.hand_over(slots);
     }
 
     /// Those that start up have their turns in their own slots, whatever their link.

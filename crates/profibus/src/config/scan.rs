@@ -181,7 +181,7 @@ impl Scan {
                 self.asked = service;
                 let head = service.head(address, self.line.address(), fcb, fcv);
                 let saps = service.saps();
-                let expected = Expected { da: address, saps, acknowledge: false, data: None };
+                let expected = Expected::service(address, saps, false);
                 self.line.request(address, |out| Some((head.emit(&[], out)?, expected)));
             }
         }

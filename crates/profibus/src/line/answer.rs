@@ -16,18 +16,28 @@ const DATA_HIGH: u8 = 0xA;
 const NO_DATA: u8 = 0x9;
 /// Bytes of a telegram before its data.
 pub(super) const HEAD: usize = 7;
+/// What the heads of both priorities differ by, behind a byte.
+const PRIORITY: u64 = ((DATA_LOW ^ DATA_HIGH) as u64) << (8 * HEAD);
+
+/// Bytes of an answer around its data, and of one with a usual diagnosis.
+pub(super) const ANSWER: u8 = 9;
+const DIAGNOSIS: u8 = 64;
 
 /// A request, as far as its answer is recognised by it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Expected {
+    /// The usual answer before its data, of low priority, as a number; 0: there is none.
+    usual: u64,
     /// The station.
     pub da: u8,
     /// Its service access point, and ours.
-    pub saps: Option<(u8, u8)>,
+    pub(super) saps: Option<(u8, u8)>,
     /// The bare acknowledgement answers it.
-    pub acknowledge: bool,
+    acknowledge: bool,
     /// Its data are so many bytes; `None`: any number.
-    pub data: Option<u8>,
+    data: Option<u8>,
+    /// So many bytes are the longest that is likely.
+    pub(super) longest: u8,
 }
 
 /// What has arrived.
@@ -82,21 +92,35 @@ pub(in super::super) enum Unrelated {
 }
 
 impl Expected {
-    /// The bytes are the usual answer to Data_Exchange of the master at `own`, and no more: whether it is of high
-    /// priority. Anything else is parsed.
+    /// The request without a service access point of the master at `own` to the station at `da`, which answers with so
+    /// many bytes of data.
+    pub fn exchange(da: u8, own: u8, data: u8) -> Expected {
+        let le = data.wrapping_add(3);
+        let head = [telegram::SD2, le, le, telegram::SD2, own, da, DATA_LOW, 0];
+        let usual = if data > 0 { u64::from_le_bytes(head) } else { 0 };
+        let longest = data.saturating_add(ANSWER);
+        Expected { usual, data: Some(data), longest, ..Expected::service(da, None, false) }
+    }
+
+    /// That of a service at these access points; `acknowledge`: the bare acknowledgement answers it.
+    pub fn service(da: u8, saps: Option<(u8, u8)>, acknowledge: bool) -> Expected {
+        // An acyclic answer may have any length, a diagnosis is short.
+        let longest = if acknowledge { u8::MAX } else { DIAGNOSIS };
+        Expected { usual: 0, da, saps, acknowledge, data: None, longest }
+    }
+
+    /// The bytes are the usual answer to Data_Exchange, and no more: whether it is of high priority. Anything else is
+    /// parsed.
     #[inline]
-    pub(super) fn is_usual(&self, bytes: &[u8], own: u8) -> Option<bool> {
-        let length = usize::from(self.data.filter(|length| *length > 0 && self.saps.is_none())?);
-        let (&[sd, le, again, second, da, sa, fc], rest) = bytes.split_first_chunk::<HEAD>()?;
+    pub(super) fn is_usual(&self, bytes: &[u8]) -> Option<bool> {
+        // Without the byte behind the head.
+        let differs = (u64::from_le_bytes(*bytes.first_chunk()?) ^ self.usual) << 8;
+        let [_, le, ..] = self.usual.to_le_bytes();
         let (covered, end) = bytes.get(HEAD - 3..)?.split_last_chunk::<2>()?;
-        let is_usual = rest.len() == length + 2
-            && (sd, second) == (telegram::SD2, telegram::SD2)
-            && usize::from(le) == length + 3
-            && again == le
-            && (da, sa) == (own, self.da)
-            && matches!(fc, DATA_LOW | DATA_HIGH)
+        let is_usual = bytes.len() == usize::from(le) + 6
+            && differs & !PRIORITY == 0
             && *end == [telegram::sum(covered), telegram::ED];
-        is_usual.then_some(fc == DATA_HIGH)
+        is_usual.then_some(differs != 0)
     }
 
     /// Whether a telegram answers it, and how.

@@ -1,7 +1,7 @@
 //! What arrives: its room, the own telegram that comes back, and the telegrams in it.
 
 use super::answer::{Answer, HEAD, Heard, Other, Unrelated};
-use super::{INBOX, Job, Line, State, Timing};
+use super::{Echo, INBOX, Job, Line, State, Timing};
 use crate::other::Sign;
 use crate::wire::telegram::Next;
 use fieldbeat_core::time::Time;
@@ -29,7 +29,7 @@ impl Line {
             return;
         }
         let Timing { state, free_at, garbled, idle_ns, .. } = &mut self.timing;
-        let waits = *state == State::Waiting;
+        let waits = matches!(state, State::Waiting);
         self.early = waits && self.is_timed && at < *free_at;
         if waits {
             return;
@@ -66,8 +66,8 @@ impl Line {
     pub(in super::super) fn heard(&mut self, at: Time) -> Option<Heard<'_>> {
         let begin = usize::from(self.used);
         let bytes = self.inbox.get(begin..usize::from(self.filled)).filter(|bytes| !bytes.is_empty())?;
-        let waits = self.timing.state == State::Waiting && !self.early && !self.timing.garbled;
-        if waits && let Some(high) = self.expected.is_usual(bytes, self.address) {
+        let waits = matches!(self.timing.state, State::Waiting) && !self.early && !self.timing.garbled;
+        if waits && let Some(high) = self.expected.is_usual(bytes) {
             let length = bytes.len();
             self.used = self.filled;
             (self.timing.state, self.timing.free_at) = (State::Free, self.free_behind(at, length));
@@ -80,7 +80,7 @@ impl Line {
     /// The next thing in the inbox, whatever it is.
     #[inline(never)]
     fn parse(&mut self, at: Time) -> Option<Heard<'_>> {
-        let waits = self.timing.state == State::Waiting && !self.early;
+        let waits = matches!(self.timing.state, State::Waiting) && !self.early;
         let bytes = self.inbox.get(usize::from(self.used)..usize::from(self.filled))?;
         if self.timing.garbled {
             self.used = self.filled;
@@ -118,9 +118,11 @@ impl Line {
             Err(Other::Unrelated(_, from)) if !waits => Heard::Other(Other::Unrelated(Unrelated::Late, from)),
             // With the own address as its sender: from an adapter that returns it, or of a master with the same one.
             Err(Other::Master { address, sign }) if address == self.address => {
-                self.returns |= at <= self.known_at;
+                if self.echo == Echo::Unknown && at <= self.known_at {
+                    self.echo = Echo::Seen;
+                }
                 let is_listening = matches!(self.timing.state, State::Listening(_));
-                let is_own = !is_listening && (self.echo || self.returns);
+                let is_own = !is_listening && self.echo != Echo::Unknown;
                 Heard::Other(if is_own { Other::Own } else { Other::Master { address, sign } })
             }
             // A station that is no slave answers a search only.

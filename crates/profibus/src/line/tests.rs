@@ -56,11 +56,12 @@ impl Rig {
     }
 
     fn request(&mut self) {
-        let expected = Expected { da: SLAVE, saps: None, acknowledge: false, data: Some(12) };
-        assert!(self.line.request(0, |out| {
+        let expected = Expected::exchange(SLAVE, 2, 12);
+        let request = self.line.request(0, |out| {
             out[..REQUEST.len()].copy_from_slice(&REQUEST);
             Some((REQUEST.len(), expected))
-        }));
+        });
+        assert_eq!(request, Some(&REQUEST[..]));
         assert_eq!(self.send(), REQUEST);
     }
 
@@ -272,7 +273,7 @@ fn a_refusal_may_leave_out_the_access_points() {
     let mut rig = Rig::up(|_| ());
     let head = Service::ChkCfg.head(SLAVE, 2, true, false);
     let saps = Service::ChkCfg.saps();
-    let expected = Expected { da: SLAVE, saps, acknowledge: true, data: None };
+    let expected = Expected::service(SLAVE, saps, true);
     for (reply, answer) in [
         (&[telegram::SC][..], Answer::Acknowledged),
         (&[0x10, 2, 7, 3, 12, 0x16], Answer::Refused(3)),
@@ -280,7 +281,7 @@ fn a_refusal_may_leave_out_the_access_points() {
         // NR: it was taken, and has no answer yet.
         (&[0x10, 2, 7, 9, 18, 0x16], Answer::Acknowledged),
     ] {
-        assert!(rig.line.request(3, |out| Some((head.emit(&[0xF3], out)?, expected))));
+        assert!(rig.line.request(3, |out| Some((head.emit(&[0xF3], out)?, expected))).is_some());
         rig.send();
         rig.now = rig.now + 200 * US;
         rig.arrive(reply);

@@ -30,7 +30,8 @@ impl Rig {
 
     /// A new telegram leaves, however often it is repeated.
     fn sends(&mut self) {
-        self.profile.encode(&self.desired, &mut self.native);
+        let is_native = self.profile.native().is_some();
+        self.profile.encode(&self.desired, &mut self.native, is_native);
         self.profile.sent(&mut self.native);
     }
 
@@ -58,7 +59,7 @@ fn a_newer_output_is_proved_anew_and_the_other_stays_proved() {
     }
     rig.motion(2, Motion::Halt);
     // It is desired while a telegram is under way that has the old one.
-    rig.profile.encode(&rig.desired, &mut rig.native);
+    rig.profile.encode(&rig.desired, &mut rig.native, false);
     assert!(rig.profile.is_new());
     let mut evidence = Evidence::default();
     evidence.accepted.motion = 1;

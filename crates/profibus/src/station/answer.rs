@@ -17,28 +17,32 @@ use fieldbeat_core::time::Time;
 const MOST_REFUSED: u8 = 20;
 
 impl Station {
-    /// The telegram of its turn was answered at `at`.
+    /// The telegram of its turn was answered at `at`. True: its start-up has come further, is over or begins.
     #[inline]
-    pub fn answered(&mut self, at: Time, answer: Answer<'_>, slot: &mut Slot) {
+    pub fn answered(&mut self, at: Time, answer: Answer<'_>, slot: &mut Slot) -> bool {
+        let usual = self.exchanges() && !self.starts();
         self.count = if self.count == FIRST { SECOND } else { self.count ^ FCB };
-        self.was_answered = true;
-        let Answer::Data { high, data } = answer else { return self.answered_without(at, answer, slot) };
+        let Answer::Data { high, data } = answer else {
+            self.answered_without(at, answer, slot);
+            return !usual || self.starts();
+        };
         if self.sending != Sending::DataExchange {
-            return self.answered_other(at, data, slot);
+            self.answered_other(at, data, slot);
+            return !usual || self.starts();
         }
         self.diagnosis_due |= high;
         self.refused = 0;
         self.profile.answered();
-        if !self.close(at, slot) {
-            return;
+        if self.close(at, slot) {
+            if self.acyclic.is_busy()
+                && self.process_at > 0
+                && let Some(channel) = data.first_chunk()
+            {
+                self.acyclic.channel_answered(channel);
+            }
+            self.read(at, data, slot);
         }
-        if !self.acyclic.is_idle()
-            && self.process_at > 0
-            && let Some(channel) = data.first_chunk()
-        {
-            self.acyclic.channel_answered(channel);
-        }
-        self.read(at, data, slot);
+        !usual
     }
 
     /// Its exchange is answered; false: it is over for the loop.
@@ -111,7 +115,7 @@ impl Station {
     /// anew.
     #[cold]
     pub(in super::super) fn failed(&mut self, slot: &mut Slot) {
-        (self.count, self.was_answered, self.slow) = (FIRST, false, self.slow.max(AWAITED));
+        (self.count, self.slow) = (FIRST, self.slow.max(AWAITED));
         match self.sending {
             Sending::StartUp => self.start_up.failed(),
             Sending::Msac1 => self.acyclic.lost(Turn::Msac1),
@@ -124,9 +128,6 @@ impl Station {
     /// The drive is not in Data_Exchange any more, for this reason: it starts up again.
     #[cold]
     pub(super) fn leave(&mut self, why: Note, slot: &mut Slot) {
-        if self.start_up.is_over() {
-            self.was_lost = true;
-        }
         self.start_up.left(self.grid, why);
         (self.diagnosis_due, self.passed_over) = (false, false);
         self.profile.dropped();

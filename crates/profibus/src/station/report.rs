@@ -1,7 +1,6 @@
 //! What a drive reports: its inputs in user units, its faults by name.
 
 use super::Station;
-use crate::native::words;
 use crate::notes::Note;
 use crate::plan::{LenzeDrive, ShownWord};
 use crate::wire::dp::{Diagnosis, DiagnosisStatus};
@@ -71,8 +70,8 @@ impl Station {
     #[inline]
     pub(super) fn read(&mut self, at: Time, data: &[u8], slot: &mut Slot) {
         let word = |at: u8| {
-            let word = data.get(usize::from(at)..).and_then(<[u8]>::first_chunk);
-            word.map_or(0, |word: &[u8; 2]| u16::from_be_bytes(*word))
+            let word = data.get(usize::from(at)..usize::from(at) + 2);
+            word.map_or(0, |word| u16::from_be_bytes([word[0], word[1]]))
         };
         let (status, actual) = (word(self.process_at), word(self.actual_at) as i16);
         if status != self.inputs.status || !self.profile.is_steady() || slot.status.at == Time(0) {
@@ -93,15 +92,14 @@ impl Station {
                 }
             }
         }
-        let process = data.get(usize::from(self.process_at)..).unwrap_or_default();
-        self.native.publish(at, 0, words(process));
+        let seen = data.get(usize::from(self.process_at)..usize::from(self.seen_to));
+        self.native.publish(at, 0, seen.unwrap_or_default());
     }
 
     /// Its status, or what is proved, may be another one than before.
     #[inline(never)]
     fn read_anew(&mut self, status: u16, slot: &mut Slot) {
-        self.start_up.settled();
-        slot.notices.restarted |= std::mem::take(&mut self.was_lost);
+        slot.notices.restarted |= self.start_up.settled();
         let was_faulted = self.inputs.faulted();
         self.inputs.status = status;
         self.inputs.state = self.profile.state(status);
