@@ -30,6 +30,8 @@ use fieldbeat_core::rt::Regions;
 struct ModbusBus {
     net: Box<dyn Streams>,
     stations: Vec<Station>,
+    /// A request is due at the next send, or a reply is owed.
+    reads: bool,
     /// The drives are this master's until their connections are given up.
     _locks: Vec<Lock>,
 }
@@ -72,7 +74,7 @@ impl ModbusBus {
             .streams(peers)
             .map_err(|source| OpenError::Streams { bus: plan.name.clone(), source })?;
         let notes = ConnectionNotes(net.notes());
-        Ok(Opened::new(ModbusBus { net, stations, _locks: locks }, ends, notes))
+        Ok(Opened::new(ModbusBus { net, stations, reads: false, _locks: locks }, ends, notes))
     }
 
     /// Takes in what has arrived on the connections, one piece each.
@@ -182,15 +184,9 @@ impl Bus for ModbusBus {
                 station.connected(slot);
             }
         }
-        // Slots that are passed over: an owed exchange is not requested again, although it may be answered now.
-        let mut reads = false;
-        for (station, slot) in self.stations.iter_mut().zip(slots.iter()) {
-            station.passed = matches!(slot.exchange, Exchange::Owed { .. });
-            reads |= slot.due || station.owes();
-        }
         // The end of a connection on which nothing is sent or owed can wait: that is not worth a system call in each
         // cycle.
-        if reads {
+        if self.reads {
             self.take_in(slots);
         }
         let net = &mut *self.net;
@@ -211,7 +207,12 @@ impl Bus for ModbusBus {
     }
 
     fn prepare(&mut self, cycle: &Cycle, slots: &mut [Slot]) {
+        self.reads = false;
         for (station, slot) in self.stations.iter_mut().zip(slots) {
+            // An owed exchange is passed over in the next send: it is not requested again, although it may be answered
+            // there.
+            station.passed = matches!(slot.exchange, Exchange::Owed { .. });
+            self.reads |= slot.due || station.owes();
             if slot.due {
                 station.prepare(cycle, slot);
             }

@@ -60,14 +60,19 @@ const fn is_harmless(parameter: Parameter) -> bool {
         )
 }
 
-/// The calls to one drive.
+/// The calls to one drive. What each exchange touches comes first: it lies on one line of the cache.
 #[derive(Debug)]
+#[repr(C, align(64))]
 pub(super) struct Calls {
-    calls: bus::Calls<BLOCK>,
-    addressing: Addressing,
-    active: Option<Active>,
     /// Exchanges since the last call.
     since: u32,
+    /// Calls that command the drive are refused at present.
+    guarded: bool,
+    /// None is under way, nor may one that commands the drive still be carried out.
+    is_idle: bool,
+    addressing: Addressing,
+    calls: bus::Calls<BLOCK>,
+    active: Option<Active>,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -85,7 +90,7 @@ struct Active {
 impl Calls {
     pub(super) fn new(port: Port, addressing: Addressing) -> Calls {
         let calls = bus::Calls::new(port, UNREACHABLE, UNREACHABLE);
-        Calls { calls, addressing, active: None, since: 0 }
+        Calls { since: 0, guarded: false, is_idle: true, addressing, calls, active: None }
     }
 
     /// Adds what it touches besides itself, to be locked.
@@ -93,13 +98,32 @@ impl Calls {
         self.calls.memory(regions);
     }
 
-    /// Starts the next call, and ends the finished one. True if the next exchange may be the call's. Calls that command
-    /// a `guarded` drive are refused.
+    /// Starts the next call, and ends the finished one. Whether the next exchange may be the call's, and whether one
+    /// that commands the drive is under way. Those that command a `guarded` drive are refused.
     #[inline]
-    pub(super) fn advance(&mut self, now: Time, link: Link, on: bool, guarded: bool) -> bool {
-        self.calls.guard(guarded);
+    pub(super) fn advance(
+        &mut self,
+        now: Time,
+        link: Link,
+        on: impl FnOnce() -> bool,
+        guarded: bool,
+    ) -> (bool, bool) {
+        if guarded != self.guarded {
+            self.guarded = guarded;
+            self.calls.guard(guarded);
+        }
         // Usually there is none.
-        (self.active.is_some() || !self.calls.is_empty()) && self.go_on(now, link, on)
+        if self.is_idle && self.calls.is_empty() {
+            return (false, false);
+        }
+        let may_leave = self.go_on(now, link, on());
+        self.note();
+        (may_leave, self.commands())
+    }
+
+    /// Something has changed of the calls that are under way.
+    fn note(&mut self) {
+        self.is_idle = self.active.is_none() && !self.calls.is_unsettled();
     }
 
     #[inline(never)]
@@ -166,16 +190,16 @@ impl Calls {
     }
 
     /// An exchange went out; the active call's, or a cyclic one.
+    #[inline]
     pub(super) fn sent(&mut self, call: bool) {
         self.since = if call { 0 } else { self.since.saturating_add(1) };
-        if let Some(active) = self.active.as_mut().filter(|_| call) {
+        if call && let Some(active) = &mut self.active {
             active.sent = true;
         }
     }
 
-    /// A call of the application that commands the drive is under way.
-    #[inline]
-    pub(super) fn commands(&self) -> bool {
+    /// A call of the application that commands the drive is under way, or may still be carried out.
+    fn commands(&self) -> bool {
         self.calls.is_unsettled()
             || self.active.as_ref().is_some_and(|active| self.calls.commands(&active.posted))
     }
@@ -196,7 +220,7 @@ impl Calls {
 
     /// The response to the call that was sent. It may have ended before.
     pub(super) fn answer(&mut self, response: &Response<'_>) {
-        self.calls.settle();
+        self.settle();
         let Some(active) = self.active.filter(|active| active.sent) else { return };
         let address = active.posted.call.address;
         let done = |value: u64| Ok(Answer { status: 0, address, value });
@@ -223,15 +247,22 @@ impl Calls {
     /// The connection is gone: a sent request may have been carried out, or not. It is over before an enable on the
     /// next connection, whose handshake comes behind it (assumed: the drive answers in the order of arrival).
     pub(super) fn lost(&mut self) {
-        self.calls.settle();
+        self.settle();
         if self.active.is_some_and(|active| active.sent) {
             self.end(Err(CallError::TimedOut));
         }
+    }
+
+    /// None that has ended is carried out any more.
+    fn settle(&mut self) {
+        self.calls.settle();
+        self.note();
     }
 
     fn end(&mut self, result: Result<Answer, CallError>) {
         if let Some(active) = self.active.take() {
             self.calls.end(&active.posted, result);
         }
+        self.note();
     }
 }

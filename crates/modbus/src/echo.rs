@@ -7,8 +7,7 @@
 /// So many differing reads in a row are a refusal.
 const DIFFERENT: u8 = 2;
 
-/// No value. One whole word each: the values are read as they were written a moment ago, which a processor can do
-/// without a wait.
+/// No value. One whole word: the value is read as it was written a moment ago, which a processor can do without a wait.
 const NONE: i64 = i64::MIN;
 
 /// What a read has shown.
@@ -34,12 +33,13 @@ pub(super) struct Echo {
     different: u8,
     /// It was read as written since it was first written.
     stood: bool,
-    taken: i64,
+    /// The drive has certainly accepted it.
+    taken: bool,
 }
 
 impl Default for Echo {
     fn default() -> Echo {
-        Echo { written: NONE, settled: false, different: 0, stood: false, taken: NONE }
+        Echo { written: NONE, settled: false, different: 0, stood: false, taken: false }
     }
 }
 
@@ -47,7 +47,7 @@ impl Echo {
     /// The value that the drive has certainly accepted; `None`: not known.
     #[inline]
     pub(super) fn taken(&self) -> Option<i32> {
-        (self.taken != NONE).then_some(self.taken as i32)
+        self.taken.then_some(self.written as i32)
     }
 
     /// A request that writes `value` goes out: whether it is answered or not, it may change what the drive has.
@@ -61,7 +61,7 @@ impl Echo {
     pub(super) fn replied(&mut self, value: i32) {
         self.settled = self.written == i64::from(value);
         if !self.settled {
-            (self.written, self.different, self.stood, self.taken) = (value.into(), 0, false, NONE);
+            (self.written, self.different, self.stood, self.taken) = (value.into(), 0, false, false);
         }
     }
 
@@ -69,7 +69,7 @@ impl Echo {
     #[inline]
     pub(super) fn confirm(&mut self, value: i32) {
         self.replied(value);
-        self.taken = value.into();
+        self.taken = true;
     }
 
     /// A request that wrote `value` was answered, and it reads as that.
@@ -77,24 +77,24 @@ impl Echo {
     pub(super) fn reads_back(&mut self, value: i32) {
         let value = value.into();
         self.settled = self.written == value;
-        (self.written, self.different, self.stood, self.taken) = (value, 0, true, value);
+        (self.written, self.different, self.stood, self.taken) = (value, 0, true, true);
     }
 
     /// It reads as `value`.
     #[inline]
     pub(super) fn read(&mut self, value: i32) -> Shown {
         if self.written == i64::from(value) {
-            (self.different, self.stood, self.taken) = (0, true, value.into());
+            (self.different, self.stood, self.taken) = (0, true, true);
             return Shown::Same;
         }
         if self.stood {
-            self.taken = NONE;
+            self.taken = false;
             return Shown::Changed;
         }
         if !self.settled {
             return Shown::Other;
         }
-        self.taken = NONE;
+        self.taken = false;
         self.different = self.different.saturating_add(1);
         if self.different == DIFFERENT { Shown::Refused } else { Shown::Other }
     }

@@ -47,8 +47,6 @@ pub struct Finding {
     pub control: ControlWord,
     /// The status word that it had.
     pub status: StatusWord,
-    /// The speed that it had, as a count.
-    pub speed: i32,
     /// Replies to requests that had theirs already, since the connection before.
     pub duplicates: u16,
     /// Requests that it was too busy for, since then.
@@ -58,7 +56,7 @@ pub struct Finding {
 /// The findings of the last handshake: written before the connection is handed over, and read after that.
 #[derive(Debug, Default)]
 pub struct Found {
-    /// Unit id, flags, control word and counts; status word and speed.
+    /// Unit id, flags, control word and counts; status word.
     words: [AtomicU64; 2],
 }
 
@@ -75,8 +73,7 @@ impl Found {
             obeys: flag(9),
             watched: flag(10),
             control: ControlWord((bits >> 16) as u16),
-            status: StatusWord((state >> 32) as u16),
-            speed: state as u32 as i32,
+            status: StatusWord(state as u16),
             duplicates: (bits >> 32) as u16,
             busy: (bits >> 48) as u16,
         }
@@ -84,13 +81,13 @@ impl Found {
 
     /// For the handshake.
     pub fn set(&self, finding: Finding) {
-        let Finding { unit, menu_0, obeys, watched, control, status, speed, duplicates, busy } = finding;
+        let Finding { unit, menu_0, obeys, watched, control, status, duplicates, busy } = finding;
         let flags = [menu_0, obeys, watched];
         let flags = flags.iter().enumerate().map(|(bit, flag)| u64::from(*flag) << (8 + bit)).sum::<u64>();
         let [bits, state] = &self.words;
         let counts = u64::from(duplicates) << 32 | u64::from(busy) << 48;
         bits.store(u64::from(unit) | flags | u64::from(control.0) << 16 | counts, Ordering::Release);
-        state.store(u64::from(status.0) << 32 | u64::from(speed as u32), Ordering::Release);
+        state.store(status.0.into(), Ordering::Release);
     }
 }
 
@@ -341,7 +338,6 @@ impl UnidriveHandshake {
                 } else {
                     self.finding.control = ControlWord(self.value(Role::Control) as u16);
                     self.finding.status = StatusWord(self.value(Role::Status) as u16);
-                    self.finding.speed = self.value(Role::Speed);
                     self.next_setting(0)
                 }
             }

@@ -52,6 +52,12 @@ impl Identity {
         self.open != 0
     }
 
+    /// The id of the request that has no reply yet.
+    #[inline]
+    pub(super) fn open(&self) -> Option<u16> {
+        self.is_open().then_some(self.last as u16)
+    }
+
     /// The last request is not waited for any more: its reply would be late.
     pub(super) fn give_up(&mut self) {
         self.open = 0;

@@ -166,14 +166,31 @@ impl Block {
     }
 }
 
-/// Some of the roles that have an index in an [`Image`]: a bit each.
+/// Some of the roles that have an index in an [`Image`]: a bit each, by that index.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(super) struct Places(u32);
+pub(super) struct Places(pub(super) u16);
 
 impl Places {
+    /// Control word, reference, status and speed.
+    pub(super) const FRONT: Places = Places(0b1111);
+    /// Status and speed, which make a report.
+    pub(super) const REPORT: Places = Places(0b1100);
+
     #[inline]
     pub(super) fn has(self, role: Role) -> bool {
         role.index().is_some_and(|place| self.0 >> place & 1 != 0)
+    }
+
+    /// All of `others` are among them.
+    #[inline]
+    pub(super) fn have(self, others: Places) -> bool {
+        self.0 & others.0 == others.0
+    }
+
+    /// Those of `others` that are in one of both.
+    #[inline]
+    pub(super) fn with(self, more: Places, others: Places) -> Places {
+        Places((self.0 | more.0) & others.0)
     }
 }
 
@@ -304,32 +321,23 @@ impl Mapping {
         &self.shown_in_menu_0
     }
 
-    /// The block that is read in turn `turn`: those with status or speed one after the other, then one of the rest.
-    #[inline]
-    pub fn read_in(&self, turn: u32) -> usize {
+    /// The block that is read in turn `turn`, out of [`turns`](Self::turns): those with status or speed one after the
+    /// other, then one of the rest.
+    pub fn read_in(&self, turn: usize) -> usize {
         let (hot, all) = (self.hot.max(1), self.reads.len());
-        // A single one needs no division.
-        if all == 1 {
-            return 0;
-        }
         if all <= hot {
-            return turn as usize % all.max(1);
+            return turn;
         }
         // With one such block, it is read in two of three exchanges.
         let round = hot.max(2) + 1;
-        let (place, number) = (turn as usize % round, turn as usize / round);
-        if place < round - 1 { place % hot } else { hot + number % (all - hot) }
+        let (place, number) = (turn % round, turn / round);
+        if place < round - 1 { place % hot } else { hot + number }
     }
 
     /// The number of turns until everything was read.
     pub fn turns(&self) -> usize {
         let (hot, all) = (self.hot.max(1), self.reads.len());
         if all <= hot { all } else { (hot.max(2) + 1) * (all - hot) }
-    }
-
-    /// The block to read that has `role`.
-    pub fn block_with(&self, role: Role) -> Option<usize> {
-        self.reads.iter().position(|block| block.has(role))
     }
 }
 

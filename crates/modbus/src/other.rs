@@ -28,8 +28,9 @@ const FOUND_CHANGES: u8 = 3;
 /// A drive that has left operation is reported after so many exchanges at the latest.
 const DOUBT_EXCHANGES: u8 = 12;
 
-/// The watch for another master's values.
+/// The watch for another master's values. What each exchange touches comes first.
 #[derive(Clone, Copy, Debug, Default)]
+#[repr(C)]
 pub(super) struct OtherMaster {
     /// Exchanges that wrote since the last one that only read.
     writes: u8,
@@ -37,13 +38,13 @@ pub(super) struct OtherMaster {
     eager: u8,
     /// Changes of the control word since `first`; changes of the reference in a row.
     control: u8,
-    first: Time,
     reference: u8,
     doubt: Doubt,
-    /// The values of the drive while nothing is written here: control word and reference.
-    found: [Option<i32>; 2],
     /// The next check reads the reference, where that is not read with the control word.
     turn: bool,
+    first: Time,
+    /// The values of the drive while nothing is written here: control word and reference.
+    found: [Option<i32>; 2],
 }
 
 /// Whether a drive that was commanded to run has left operation by itself.
@@ -69,7 +70,7 @@ impl OtherMaster {
     #[inline]
     pub(super) fn sent(&mut self, writes: bool) {
         self.turn ^= !writes;
-        if writes {
+        if writes && self.writes == 0 {
             self.found = [None; 2];
         }
         self.writes = if writes { self.writes.saturating_add(1) } else { 0 };

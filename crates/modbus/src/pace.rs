@@ -9,16 +9,16 @@ use fieldbeat_core::bus::Cycle;
 use fieldbeat_core::time::Time;
 
 /// The level of a drive that answers inside its window. From there eight late replies in a row end the waiting.
-const MOST: u32 = 16;
+const MOST: u16 = 16;
 /// A late reply outweighs so many that come inside the window.
-const LATE: u32 = 2;
+const LATE: u16 = 2;
 /// The level of an attempt: one late reply ends it.
-const ATTEMPT: u32 = LATE;
+const ATTEMPT: u16 = LATE;
 /// An attempt follows so many replies in a row that are there with the next cycle. Attempts that fail in a row double
 /// it ...
-const LEAST_BETWEEN: u32 = 8;
+const LEAST_BETWEEN: u16 = 8;
 /// ... up to this.
-const MOST_BETWEEN: u32 = 1_024;
+const MOST_BETWEEN: u16 = 1_024;
 
 /// When a reply was taken in.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -36,8 +36,8 @@ enum Arrival {
 pub(super) struct Pace {
     awaited: bool,
     /// While it is awaited, a balance of its replies; else those in a row that were there with the next cycle.
-    level: u32,
-    between: u32,
+    level: u16,
+    between: u16,
     /// The end of the window of the open request, and of the next one.
     window_end: Time,
     next_end: Time,

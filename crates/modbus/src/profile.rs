@@ -5,6 +5,7 @@
 //!
 //! Sources: SI-PROFIBUS guide, control word 06.042 and status word 10.040.
 
+use super::echo::Echo;
 use super::native::{NativeOutput, NativePort};
 use super::plan::UnidriveDrive;
 use super::trips::Trip;
@@ -34,28 +35,39 @@ const NOT_OBEYING: &str = "it does not follow the control word: Pr 06.043 has to
 const NOT_WATCHED: &str = "its watchdog is not set, nothing would stop it if the master dies: look at Pr \
      S.15.009 and watchdog, or no_drive_watchdog = \"accept\"";
 
-/// The drive's last report, and the values that it has acknowledged.
+/// The drive's last report, and the values that it has acknowledged. What each exchange touches comes first.
 #[derive(Clone, Copy, Debug, Default)]
+#[repr(C)]
 pub(super) struct Inputs {
-    /// There was a status at all.
-    pub seen: bool,
+    /// What it has of the written control word, and of the reference.
+    pub control: Echo,
+    pub reference: Echo,
     pub status: StatusWord,
-    /// User units/s.
-    pub velocity: f64,
     /// The last trip; 0: not known.
     pub trip: u16,
+    /// There was a status at all.
+    pub seen: bool,
     /// Its number is known, as far as it will ever be.
     pub named: bool,
     /// It is commanded to run, and its power stage stays off, or has switched off.
     pub dark: bool,
+    /// Since when the drive has the control word that it has accepted.
+    pub control_since: Time,
     /// The drive tripped at this instant.
     pub tripped_at: Option<Time>,
+}
+
+impl Inputs {
     /// The control word that the drive has accepted; `None`: not known.
-    pub control: Option<ControlWord>,
-    /// Since when.
-    pub control_since: Time,
-    /// The reference that the drive has accepted.
-    pub reference: Option<i32>,
+    #[inline]
+    pub(super) fn control(&self) -> Option<ControlWord> {
+        self.control.taken().map(|count| ControlWord(count as u16))
+    }
+
+    /// It has accepted the command to run.
+    pub(super) fn runs(&self) -> bool {
+        self.control().is_some_and(|word| word.has_any(ControlWord::ANY_RUN))
+    }
 }
 
 /// The values for the drive.
@@ -66,15 +78,34 @@ pub(super) struct Outputs {
     pub reference: i32,
 }
 
+/// What a drive in operation follows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Source {
+    /// The setpoints of the master.
+    Setpoints,
+    /// Nothing: it is halted.
+    Halt,
+    /// What the application writes.
+    Native(NativeOwner),
+}
+
+impl From<Motion> for Source {
+    fn from(motion: Motion) -> Source {
+        match motion {
+            Motion::Halt => Source::Halt,
+            Motion::Native(owner) => Source::Native(owner),
+            _ => Source::Setpoints,
+        }
+    }
+}
+
 /// What the requests that left have led to.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct State {
     /// The intents of which something was written: power, motion.
     serials: (u64, u64),
     power: Power,
-    motion: Motion,
-    /// It runs by the setpoints of the master.
-    follows: bool,
+    source: Source,
     /// The request with them was refused: they have to go out again.
     is_refused: bool,
     /// The last commanded direction; it is kept at zero.
@@ -85,13 +116,14 @@ struct State {
     releasing: bool,
     /// RUN was off for a halt, and the power stage has not come back since.
     halted: bool,
-    refused: Option<Refused>,
+    /// It has not taken a written value.
+    not_taken: bool,
     /// The control word that was written last has RUN.
     ran: bool,
     /// The native values, whether each went out, and how many of them were taken.
     native: Option<Outputs>,
     native_gone: (bool, bool),
-    native_taken: u32,
+    native_taken: u8,
 }
 
 impl State {
@@ -101,7 +133,7 @@ impl State {
     }
 
     fn is_halted(&self) -> bool {
-        self.power == Power::QuickStop || self.motion == Motion::Halt
+        self.power == Power::QuickStop || self.source == Source::Halt
     }
 
     /// RUN is on.
@@ -110,7 +142,12 @@ impl State {
     }
 
     fn is_native(&self) -> bool {
-        matches!(self.motion, Motion::Native(_))
+        matches!(self.source, Source::Native(_))
+    }
+
+    /// It runs by the setpoints of the master.
+    fn follows(&self) -> bool {
+        self.power == Power::EnableOperation && self.source == Source::Setpoints
     }
 }
 
@@ -125,27 +162,24 @@ enum SetUp {
     Lacking { obeys: bool },
 }
 
-/// The profile of one drive.
+/// The profile of one drive. What each exchange touches comes first.
 #[derive(Debug)]
+#[repr(C, align(64))]
 pub(super) struct Profile {
     /// Raw reference for one user unit/s; negative if the axis is inverted.
     raw_per_velocity: f64,
-    /// The bits of the control word while the drive is to be on.
-    on: u16,
-    set_up: SetUp,
-    /// Something stops the drive if the master dies once it is set up, or nothing needs to.
-    watchable: bool,
-    state: Prepared<State>,
-    /// The values of the prepared request, and the velocity that was desired with them.
+    /// The values of the prepared request.
     outputs: Outputs,
-    velocity: f64,
-    /// The intents of the last request that had left when the newest status was read: a speed may come later.
-    at_status: (u64, u64),
+    state: Prepared<State>,
     /// It has accepted all that has left.
     taken: bool,
-    /// The next report proves the same, if it reads back what was written with the same control word and status, as
-    /// long as this is the revision of the state.
-    steady: Option<u64>,
+    /// Something stops the drive if the master dies once it is set up, or nothing needs to.
+    watchable: bool,
+    set_up: SetUp,
+    /// The bits of the control word while the drive is to be on.
+    on: u16,
+    /// The intents of the last request that had left when the newest status was read: a speed may come later.
+    at_status: (u64, u64),
 }
 
 /// What a drive can do.
@@ -170,14 +204,13 @@ impl Profile {
         let state = State {
             serials: (0, 0),
             power: Power::Untouched,
-            motion: Motion::Hold,
-            follows: false,
+            source: Source::Setpoints,
             is_refused: false,
             reverse: false,
             turning: None,
             releasing: false,
             halted: false,
-            refused: None,
+            not_taken: false,
             ran: false,
             native: None,
             native_gone: (true, true),
@@ -190,38 +223,26 @@ impl Profile {
             watchable: drive.watchdog.within_ns().is_some() || drive.watchdog.accept_none,
             state: Prepared::new(state),
             outputs: Outputs::default(),
-            velocity: 0.0,
             at_status: (0, 0),
             taken: false,
-            steady: None,
         }
     }
 
-    /// The values of the next request; `None`: nothing is written.
+    /// The [values](Self::outputs) of the next request; false: nothing is written.
     #[inline]
-    pub(super) fn encode(
-        &mut self,
-        desired: &Desired,
-        inputs: &Inputs,
-        native: &mut NativePort,
-    ) -> Option<Outputs> {
+    pub(super) fn encode(&mut self, desired: &Desired, inputs: &Inputs, native: &mut NativePort) -> bool {
         if desired.power.value == Power::Untouched {
-            return None;
+            return false;
         }
-        self.velocity = desired.setpoint.velocity;
-        let raw = self.velocity * self.raw_per_velocity;
+        let raw = desired.setpoint.velocity * self.raw_per_velocity;
         let state = self.state.left();
-        // Of a drive that goes on turning in its direction only the speed is new.
-        if self.state.holds(desired.revision())
-            && state.follows
-            && raw != 0.0
-            && state.turning == Some(raw < 0.0)
-        {
+        // Of a drive that goes on turning in its direction, or standing, only the speed is new.
+        if self.state.holds(desired.revision()) && state.follows() && state.turning == turning(raw) {
             self.outputs.reference = rounded(raw.abs());
-            return Some(self.outputs);
+        } else {
+            self.build(desired, raw, inputs, native);
         }
-        self.build(desired, raw, inputs, native);
-        Some(self.outputs)
+        true
     }
 
     /// Builds the values of a request that differs from the last one by more than its speed.
@@ -233,12 +254,9 @@ impl Profile {
         if begins {
             (state.native, state.native_gone) = (None, (true, true));
         }
-        if (power.serial, motion.serial) != state.serials {
-            state.refused = None;
-        }
+        state.not_taken &= (power.serial, motion.serial) == state.serials;
         state.serials = (power.serial, motion.serial);
-        (state.power, state.motion, state.is_refused) = (power.value, motion.value, false);
-        state.follows = state.runs() && !state.is_native();
+        (state.power, state.source, state.is_refused) = (power.value, motion.value.into(), false);
         // A drive at standstill holds its motor until RUN is off, and drops it with ENABLE.
         state.releasing = state.power == Power::Off
             && inputs.status.active()
@@ -246,12 +264,18 @@ impl Profile {
         state.halted |= state.is_halted();
         self.outputs = state.built(raw, self.on);
         // What the application has written before the mode begins is dropped.
-        if let Motion::Native(owner) = state.motion {
+        if let Source::Native(owner) = state.source {
             if !begins {
                 state.take_native(owner, self.outputs.control, native);
             }
             self.outputs = state.native.unwrap_or(self.outputs);
         }
+    }
+
+    /// The values of the request that was built last.
+    #[inline]
+    pub(super) fn outputs(&self) -> Outputs {
+        self.outputs
     }
 
     /// A reply has changed what the next request was built from.
@@ -307,7 +331,6 @@ impl Profile {
     /// Whether something stops the drive if the master dies, whether it follows the control word, and whether it
     /// can be configured to.
     pub(super) fn found(&mut self, watched: bool, obeys: bool, settable: bool) {
-        self.steady = None;
         self.set_up = match settable {
             _ if watched && obeys => SetUp::Done,
             true => SetUp::Due { obeys },
@@ -332,15 +355,16 @@ impl Profile {
         self.state.left().serials.0 > 0
     }
 
-    /// Written values are waited for, to be read back.
-    pub(super) fn waits(&self) -> bool {
-        self.velocity == 0.0 && !self.state.proposed().is_native() && (self.is_new() || !self.taken)
+    /// Written values are waited for, to be read back, if the drive is to stand.
+    pub(super) fn waits(&self, stands: bool) -> bool {
+        stands && !self.state.proposed().is_native() && (self.is_new() || !self.taken)
     }
 
     /// The next request has to carry this: nothing of it was sent yet.
+    #[inline]
     pub(super) fn is_new(&self) -> bool {
-        let (proposed, left) = (self.state.proposed(), self.state.left());
-        proposed.serials != left.serials || left.is_refused
+        let left = self.state.left();
+        left.is_refused || self.state.is_proposed() && self.state.proposed().serials != left.serials
     }
 
     /// The drive refused the request as a whole: what it wrote has to go out again.
@@ -359,10 +383,23 @@ impl Profile {
         self.state.proposed().is_on()
     }
 
-    /// The next report proves the same, if it reads back what was written with the same control word and status.
+    /// As long as this is the revision of its state, a report proves the same as the last one, if the drive has
+    /// accepted all that was written, and has the same status. `None`: the last one did not prove it.
     #[inline]
-    pub(super) fn is_steady(&self) -> bool {
-        self.steady == Some(self.state.revision())
+    pub(super) fn proved(&self) -> Option<u64> {
+        (self.taken && !self.is_native()).then(|| self.state.revision())
+    }
+
+    /// A report proves the same as the one that has proved this revision.
+    #[inline]
+    pub(super) fn proves_again(&self, proved: Option<u64>, inputs: &Inputs) -> bool {
+        self.is_revision(proved) && !self.is_new() && self.has_taken(inputs)
+    }
+
+    /// This is the revision of its state.
+    #[inline]
+    pub(super) fn is_revision(&self, proved: Option<u64>) -> bool {
+        proved == Some(self.state.revision())
     }
 
     /// RUN was written.
@@ -392,9 +429,7 @@ impl Profile {
 
     /// The drive was commanded to run and has accepted it, for as long as it needs.
     pub(super) fn should_be_active(&self, now: Time, inputs: &Inputs) -> bool {
-        self.runs()
-            && inputs.control.is_some_and(|word| word.has_any(ControlWord::ANY_RUN))
-            && now.since(inputs.control_since) > ACTIVE_WITHIN_NS
+        self.runs() && inputs.runs() && now.since(inputs.control_since) > ACTIVE_WITHIN_NS
     }
 
     /// The drive has lost its commands: no earlier value is written again.
@@ -403,7 +438,6 @@ impl Profile {
             (state.native, state.native_gone, state.turning) = (None, (true, true), None);
             (state.halted, state.releasing) = (false, false);
         });
-        self.steady = None;
     }
 
     /// A status was read in an exchange that was sent after what was sent last.
@@ -413,21 +447,21 @@ impl Profile {
 
     /// The drive did not accept a written value, as its read-back shows.
     pub(super) fn not_taken(&mut self) {
-        self.state.change(|state| state.refused = Some(Refused::NotTaken));
-        self.steady = None;
+        self.state.change(|state| state.not_taken = true);
     }
 
     /// The drive has accepted the written values.
+    #[inline]
     fn has_taken(&self, inputs: &Inputs) -> bool {
-        inputs.control == Some(self.outputs.control) && inputs.reference == Some(self.outputs.reference)
+        inputs.control() == Some(self.outputs.control)
+            && inputs.reference.taken() == Some(self.outputs.reference)
     }
 
     /// What a report proves.
     pub(super) fn prove(&mut self, inputs: &Inputs, evidence: &mut Evidence) {
-        let State { serials: (power, motion), is_refused, refused, .. } = *self.state.left();
+        let State { serials: (power, motion), is_refused, not_taken, .. } = *self.state.left();
         let taken = !self.is_new() && self.at_status == (power, motion) && self.has_taken(inputs);
         self.taken = taken;
-        self.steady = (taken && !self.is_native()).then(|| self.state.revision());
         let since = |serial: u64| match (taken, is_refused) {
             (true, _) => serial,
             (false, true) => 0,
@@ -443,7 +477,7 @@ impl Profile {
             SetUp::Lacking { obeys: true } => (Follows::Yes, Some(NOT_WATCHED)),
             SetUp::Lacking { obeys: false } => (Follows::Never(NOT_OBEYING), Some(NOT_OBEYING)),
         };
-        evidence.refused = refused;
+        evidence.refused = not_taken.then_some(Refused::NotTaken);
         let reset_at = |at| Resettable::At(at + Trip(inputs.trip).reset_after_ns());
         evidence.fault = FaultIs {
             active: inputs.seen && !inputs.status.healthy(),
@@ -489,6 +523,12 @@ impl State {
             (self.native_gone, self.native_taken) = ((false, false), self.native_taken.wrapping_add(1));
         }
     }
+}
+
+/// The direction of a reference; `None`: it is zero.
+#[inline]
+fn turning(raw: f64) -> Option<bool> {
+    (raw != 0.0).then_some(raw < 0.0)
 }
 
 /// By hand: without SSE4.1 `round` is a call. A plan whose velocities do not fit is refused; the rest saturates.

@@ -3,6 +3,7 @@
 //! | file | what |
 //! |---|---|
 //! | `mod` | the station, and the life of its connection |
+//! | `turns` | the blocks of its cyclic requests |
 //! | `request` | the next request |
 //! | `receive` | received bytes |
 //! | `report` | the values of a reply: what they confirm, and the drive's report |
@@ -10,17 +11,16 @@
 mod receive;
 mod report;
 mod request;
+mod turns;
 
 use std::sync::Arc;
 
-use self::receive::Expected;
-use self::request::Template;
+use self::turns::{Cyclic, Turns};
 use super::calls::{Calls, commanding};
 use super::counters::Own;
-use super::echo::Echo;
 use super::handshake::{BUSY_WITHIN, Finding, Found};
 use super::identity::Identity;
-use super::mapping::{Image, Mapping};
+use super::mapping::{Image, Mapping, Places};
 use super::native::{Also, Native, NativePort, native};
 use super::other::OtherMaster;
 use super::pace::Pace;
@@ -43,7 +43,7 @@ use fieldbeat_core::time::Time;
 const DISARM_WITHIN: u64 = 3;
 /// A cyclic exchange that is refused so often in a row does not match the handshake, which is repeated: as it is after
 /// the drive was busy for [`BUSY_WITHIN`].
-const MOST_REFUSALS: u32 = 3;
+const MOST_REFUSALS: u8 = 3;
 /// A request that the drive was too busy for is no turn, so often in a row: what it never serves must not keep all
 /// other parameters away.
 const MOST_REPEATED: u8 = 3;
@@ -52,104 +52,109 @@ const MOST_REPEATED: u8 = 3;
 #[derive(Debug)]
 #[repr(C, align(64))]
 pub struct Station {
-    conn: Connection,
     /// Its ids go on with the next connection.
     identity: Identity,
+    pace: Pace,
+    /// The slot of the grid that the prepared request is for.
     grid: Time,
     connected: bool,
-    /// An exchange was owed as this cycle's send began: none is due.
+    /// An exchange was owed as the next request was prepared: none is due.
     pub(super) passed: bool,
-    /// It reports the numbers of its trips.
-    reports_trips: bool,
-    /// No time-out has to be set in the drive before it is enabled.
-    unwatched: bool,
-    end: End,
-    pace: Pace,
+    /// The control word sent last, on whatever connection.
+    control_sent: Option<ControlWord>,
+    conn: Connection,
+    profile: Profile,
+    calls: Calls,
     reply_within_ns: u64,
     /// A window of this length is followed by so much time for a reply, in whole periods; at first it is longer
     /// than any.
     window_ns: u64,
     beyond_ns: u64,
-    functions: ReadWrite,
-    /// The control word sent last, on whatever connection.
-    control_sent: Option<ControlWord>,
     /// User units/s of one count of the speed feedback.
     velocity_per_count: f64,
     /// The monitored channels, and the counts in one unit of each.
     shown: Box<[(usize, f64)]>,
-    /// The settings that make the drive follow the control word and watch it: written with the first command that
-    /// needs them.
-    settings: Box<[Setting]>,
-    inbox: Vec<u8>,
-    profile: Profile,
-    native: NativePort,
-    also: Also,
-    calls: Calls,
-    /// The requests that write, calls and settings; and those that only read.
-    rooms: [[u8; ADU_MAX]; 2],
-    /// The blocks at their own addresses, and those of menu 0.
-    direct: Mapping,
-    menu_0: Option<Mapping>,
-    found: Arc<Found>,
-    log: InputLog,
+    inbox: Box<[u8]>,
+    end: End,
+    functions: ReadWrite,
+    /// The blocks at the parameters' own addresses or those of menu 0, as the drive shows them.
+    turns: Turns,
+    shows_menu_0: bool,
+    /// It reports the numbers of its trips.
+    reports_trips: bool,
+    /// No time-out has to be set in the drive before it is enabled.
+    unwatched: bool,
     opened_before: bool,
     /// The control word that the drive accepted last, or had at first, on whatever connection.
     control_taken: Option<ControlWord>,
+    native: NativePort,
+    also: Also,
+    /// The request that was built last.
+    room: Room,
+    /// The settings that make the drive follow the control word and watch it: written with the first command that
+    /// needs them.
+    settings: Box<[Setting]>,
+    /// The blocks that the drive does not show.
+    others: Option<Turns>,
+    found: Arc<Found>,
+    log: InputLog,
 }
+
+/// The bytes of a request, on as few lines of the cache as possible.
+#[derive(Debug)]
+#[repr(align(64))]
+struct Room([u8; ADU_MAX]);
 
 /// What begins anew with each connection: the drive's values are not known until they are read back, nor its state
 /// until it reports again. What each exchange touches comes first.
 #[derive(Debug, Default)]
 #[repr(C)]
 struct Connection {
-    /// Length of the prepared request, 0: there is none; and its room.
-    length: usize,
-    room: usize,
-    /// Length of the open one, and how much of it the wire has taken. The next one is built over it once all is
-    /// taken.
-    open: usize,
-    gone: usize,
-    /// Received bytes that are not a whole message yet.
-    filled: usize,
-    /// The open request, when it was sent, and its unit id.
+    /// The open request, when it was sent, and the values that it writes; and the prepared one.
     requested: What,
-    requested_unit: u8,
     requested_at: Time,
-    /// The values that it writes.
     written: Outputs,
     prepared: What,
-    /// The values that the prepared request writes.
-    outputs: Outputs,
-    /// The reply to the open request, if only one is right.
-    expected: Expected,
-    /// Writes, and reads, that were refused in a row; and since when the drive is busy, for so many requests.
-    refused: (u32, u32),
-    busy: Option<(Time, u8)>,
-    inputs: Inputs,
-    /// Another reply that reads back what it wrote, with the same status, reports nothing new but speeds.
-    steady: bool,
-    /// So many of the settings stand, and whether the others can be written.
-    settable: bool,
-    set: usize,
-    finding: Finding,
-    control: Echo,
-    reference: Echo,
-    other: OtherMaster,
-    /// The constant parts of the requests in their rooms, if they are cyclic.
-    templates: [Option<Template>; 2],
-    image: Image,
-    /// The last read was to check whether a value was accepted.
-    confirmed: bool,
-    /// Exchanges that read, and that wrote; those that wrote only, in a row.
-    reads: u32,
+    /// Length of the prepared request, 0: there is none.
+    length: u16,
+    /// Length of the open one, and how much of it the wire has taken. The next one is built over it once all is
+    /// taken.
+    open: u16,
+    gone: u16,
+    /// Received bytes that are not a whole message yet.
+    filled: u16,
+    /// Exchanges that wrote; those that wrote only, in a row.
     writes: u32,
     written_in_a_row: u8,
+    /// The last read was to check whether a value was accepted.
+    confirmed: bool,
+    /// The turn of the next block to read.
+    turn: u16,
+    /// The unit id of the open request.
+    requested_unit: u8,
+    /// Requests in a row that the drive was too busy for; writes, and reads, that were refused in a row.
+    busy: u8,
+    refused: (u8, u8),
+    /// So many of the settings are missing, and whether they can be written.
+    unset: u8,
+    settable: bool,
     /// The trip number in the image is that of the present trip; without one, it was read since the last healthy
     /// status.
     trip_read: bool,
-    /// A status, a speed was read since the last report.
-    seen: (bool, bool),
+    /// The prepared request is the only one of the cycle that there is.
+    is_only: bool,
+    inputs: Inputs,
+    /// Which of status and speed were read since the last report.
+    seen: Places,
     was_active: bool,
+    finding: Finding,
+    other: OtherMaster,
+    image: Image,
+    /// The revision of the profile that the last report has proved. Another one proves the same, if the drive reports
+    /// the same status, and nothing was refused.
+    proved: Option<u64>,
+    /// Since when the drive is busy.
+    busy_since: Time,
     /// When the power stage was last off although the drive was commanded to run.
     dark_at: Option<Time>,
 }
@@ -182,33 +187,12 @@ enum What {
     /// A setting, and its value: what is to be set, or 0 to disarm a time-out.
     Set { index: u8, value: i32 },
     /// Blocks to write and to read.
-    Cyclic(Blocks),
+    Cyclic(Cyclic),
 }
 
 impl Default for What {
     fn default() -> What {
-        What::Cyclic(Blocks::default())
-    }
-}
-
-/// The blocks of a cyclic request.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-struct Blocks {
-    write: Option<u8>,
-    read: Option<u8>,
-    /// The block to write has the control word, the reference.
-    control: bool,
-    reference: bool,
-    /// The block to read is out of turn.
-    confirms: bool,
-    /// The registers of both together.
-    registers: u16,
-}
-
-impl Blocks {
-    /// It writes and reads: FC23.
-    fn is_both(&self) -> bool {
-        self.write.is_some() && self.read.is_some()
+        What::Cyclic(Cyclic::default())
     }
 }
 
@@ -232,12 +216,14 @@ impl Station {
         let (ends, port) = acyclic::queue(drive.axis.parameter_queue, commanding(outputs));
         let (native, port) = (native.logged(log), port.logged(log));
         let shown = drive.map.show.iter().enumerate();
+        let (direct, menu_0) = mappings;
         let station = Station {
             velocity_per_count: drive.velocity(drive.map.speed.value(1)),
             reports_trips: drive.map.trip.is_some(),
             shown: shown.filter_map(|(channel, mapped)| Some((channel, (*mapped)?.raw(1.0)))).collect(),
-            direct: mappings.0,
-            menu_0: mappings.1,
+            turns: Turns::new(direct),
+            others: menu_0.map(Turns::new),
+            shows_menu_0: false,
             found,
             log: log.source(),
             functions: ReadWrite::new(drive.functions),
@@ -258,8 +244,8 @@ impl Station {
             passed: false,
             identity: Identity::default(),
             grid: Time(0),
-            rooms: [[0; ADU_MAX]; 2],
-            inbox: vec![0; ROOM],
+            room: Room([0; ADU_MAX]),
+            inbox: vec![0; ROOM].into(),
             conn: Connection::default(),
             control_taken: None,
             control_sent: None,
@@ -274,26 +260,34 @@ impl Station {
         self.native.memory(regions);
         self.also.memory(regions);
         self.calls.memory(regions);
-        for mapping in std::iter::once(&self.direct).chain(&self.menu_0) {
-            mapping.memory(regions);
+        // In the same order, whichever the drive shows.
+        let mut turns = [Some(&self.turns), self.others.as_ref()];
+        if self.shows_menu_0 {
+            turns.reverse();
         }
+        turns.into_iter().flatten().for_each(|turns| turns.memory(regions));
     }
 
     /// A new connection is there, with its handshake complete.
     pub fn connected(&mut self, slot: &mut Slot) {
         self.connected = true;
         let finding = self.found.get(&self.log);
-        let velocity = f64::from(finding.speed) * self.velocity_per_count;
-        let inputs = Inputs { seen: true, status: finding.status, velocity, ..Inputs::default() };
+        let inputs = Inputs { seen: true, status: finding.status, ..Inputs::default() };
+        if finding.menu_0 != self.shows_menu_0
+            && let Some(others) = &mut self.others
+        {
+            std::mem::swap(&mut self.turns, others);
+            self.shows_menu_0 = finding.menu_0;
+        }
         // A setting that is right already is not written again.
         let is_met = |setting: &&Setting| match setting.purpose {
             Purpose::Obey => finding.obeys,
             Purpose::Watch => finding.watched,
             Purpose::Menu0 => true,
         };
-        let set = self.settings.iter().take_while(is_met).count();
+        let unset = (self.settings.len() - self.settings.iter().take_while(is_met).count()) as u8;
         let settable = !self.settings.is_empty();
-        self.conn = Connection { finding, inputs, set, settable, ..Connection::default() };
+        self.conn = Connection { finding, inputs, unset, settable, ..Connection::default() };
         self.tell_set_up();
         self.identity.reconnected();
         self.functions.reconnected();
@@ -321,6 +315,7 @@ impl Station {
     fn tell_set_up(&mut self) {
         let Finding { watched, obeys, .. } = self.conn.finding;
         self.profile.found(watched || self.unwatched, obeys, self.conn.settable);
+        self.conn.proved = None;
     }
 
     /// The connection is gone.
@@ -340,7 +335,7 @@ impl Station {
 
     /// The open request writes and reads: FC23.
     fn reads_and_writes(&self) -> bool {
-        self.identity.is_open() && matches!(self.conn.requested, What::Cyclic(blocks) if blocks.is_both())
+        self.identity.is_open() && matches!(&self.conn.requested, What::Cyclic(cyclic) if cyclic.is_both())
     }
 
     /// The connection has ended at the other end, or broken: in words.
@@ -363,14 +358,14 @@ impl Station {
     #[inline]
     pub(super) fn gives_up(&mut self, now: Time, slot: &mut Slot) -> Option<Why> {
         let silent = self.identity.is_open() && now.since(self.conn.requested_at) > 2 * self.reply_within_ns;
-        let refused = self.conn.busy.is_some() || self.conn.refused != (0, 0);
+        let refused = self.conn.busy > 0 || self.conn.refused != (0, 0);
         if self.connected && (silent || refused) { self.judge(now, silent, slot) } else { None }
     }
 
     #[cold]
     fn judge(&mut self, now: Time, silent: bool, slot: &mut Slot) -> Option<Why> {
         let within_ns = BUSY_WITHIN * self.reply_within_ns;
-        let busy = self.conn.busy.is_some_and(|(since, _)| now.since(since) > within_ns);
+        let busy = self.conn.busy > 0 && now.since(self.conn.busy_since) > within_ns;
         let why = match () {
             () if silent => SILENT,
             () if busy => "the drive is busy all the time",
@@ -389,7 +384,7 @@ impl Station {
     pub(super) fn shut_down(&mut self, cycle: &Cycle) -> bool {
         let armed =
             self.connected && self.conn.finding.watched && self.time_out().is_some() && self.profile.writes();
-        let off = self.conn.inputs.control == Some(ControlWord::IDLE) && !self.conn.inputs.status.active();
+        let off = self.conn.inputs.control() == Some(ControlWord::IDLE) && !self.conn.inputs.status.active();
         self.end = match self.end {
             // A drive that is still on keeps its watchdog.
             End::NotYet if !armed || self.profile.is_on() => End::Done,
@@ -410,16 +405,6 @@ impl Station {
     pub(super) fn has_ended(&self) -> bool {
         self.end == End::Done
     }
-
-    fn mapping(&self) -> &Mapping {
-        used(&self.direct, &self.menu_0, self.conn.finding.menu_0)
-    }
-}
-
-/// The blocks of the drive's requests: those of menu 0 where it shows them.
-#[inline]
-fn used<'a>(direct: &'a Mapping, menu_0: &'a Option<Mapping>, in_menu_0: bool) -> &'a Mapping {
-    menu_0.as_ref().filter(|_| in_menu_0).unwrap_or(direct)
 }
 
 #[cfg(test)]

@@ -1,6 +1,7 @@
 //! The values of a reply: what they confirm of what was written, who else writes, and the drive's report.
 
-use super::{Blocks, Connection, Station};
+use super::turns::{Cyclic, Read};
+use super::{Connection, Station};
 use crate::counters::Own;
 use crate::echo::Shown;
 use crate::mapping::{Places, Role};
@@ -14,14 +15,17 @@ use fieldbeat_core::time::{S, Time};
 const DARK_NS: u64 = S;
 
 impl Station {
-    /// The values in the image are those that the open request wrote, and the drive reports the status of before.
+    /// All of the drive's values were read: they are those that the open request wrote, and the drive reports the
+    /// status of before.
     #[inline]
-    pub(super) fn is_repeated(&self) -> bool {
+    pub(super) fn is_repeated(&self, cyclic: &Cyclic, read: Read, slot: &Slot) -> bool {
         let Connection { image, inputs, written, .. } = &self.conn;
         let [control, reference, status] = image.front();
-        self.conn.steady
-            && self.profile.is_steady()
-            && inputs.control == Some(written.control)
+        !slot.anew
+            && cyclic.is_both()
+            && read.places().have(Places::FRONT)
+            && self.profile.is_revision(self.conn.proved)
+            && inputs.control() == Some(written.control)
             && (control as u16, reference) == (written.control.0, written.reference)
             && status as u16 == inputs.status.0
     }
@@ -29,55 +33,61 @@ impl Station {
     /// Such a reply: only the reference and what turns are new.
     #[inline]
     pub(super) fn repeat(&mut self, at: Time, slot: &mut Slot) {
-        self.conn.reference.reads_back(self.conn.written.reference);
-        self.conn.inputs.reference = Some(self.conn.written.reference);
+        self.conn.inputs.reference.reads_back(self.conn.written.reference);
         publish(&mut self.native, at, &self.conn.image);
         self.turns(at, slot);
     }
 
-    /// The values of these indices are in the image.
+    /// The values of this block are in the image.
     #[inline(never)]
-    pub(super) fn cyclic_read(&mut self, at: Time, blocks: Blocks, places: Places, slot: &mut Slot) {
-        (self.conn.refused.1, self.conn.busy) = (0, None);
-        if blocks.write.is_some() {
-            self.conn.refused.0 = 0;
+    pub(super) fn cyclic_read(&mut self, at: Time, cyclic: Cyclic, read: Read, slot: &mut Slot) {
+        let conn = &mut self.conn;
+        (conn.refused.1, conn.busy) = (0, 0);
+        if cyclic.write.is_some() {
+            conn.refused.0 = 0;
         }
-        if blocks.control {
-            self.conn.control.replied(i32::from(self.conn.written.control.0));
+        let control_before = conn.inputs.control();
+        let (wrote_control, wrote_reference) = cyclic.writes();
+        if wrote_control {
+            conn.inputs.control.replied(i32::from(conn.written.control.0));
         }
-        if blocks.reference {
-            self.conn.reference.replied(self.conn.written.reference);
+        if wrote_reference {
+            conn.inputs.reference.replied(conn.written.reference);
         }
+        let places = read.places();
         let (control, reference) = (places.has(Role::Control), places.has(Role::Reference));
-        let (status, speed) = (places.has(Role::Status), places.has(Role::Speed));
-        let with_trip = places.has(Role::Trip);
+        let (status, with_trip) = (places.has(Role::Status), places.has(Role::Trip));
         publish(&mut self.native, at, &self.conn.image);
         if control || reference {
             // What this exchange has not written itself shows who did.
-            let unwritten = control && !blocks.control || reference && !blocks.reference;
+            let unwritten = control && !wrote_control || reference && !wrote_reference;
             self.compare(at, control, reference, unwritten, slot);
-        } else if blocks.control || blocks.reference {
-            self.note_taken(at);
         }
-        self.conn.seen = (self.conn.seen.0 || status, self.conn.seen.1 || speed);
-        self.conn.trip_read |= with_trip;
-        if status {
+        self.note_taken(at, control_before);
+        let conn = &mut self.conn;
+        conn.seen = conn.seen.with(places, Places::REPORT);
+        conn.trip_read |= with_trip;
+        let is_same = conn.image.of(Role::Status).map(|raw| raw as u16) == Some(conn.inputs.status.0);
+        let steady =
+            (is_same || !status) && !slot.anew && self.profile.proves_again(conn.proved, &conn.inputs);
+        if status && steady {
+            // It is healthy still: a number that was read is that of an earlier trip.
+            conn.trip_read = false;
+        } else if status {
+            conn.proved = None;
             self.take_status(at, with_trip);
         }
-        self.conn.steady = false;
-        if self.conn.seen == (true, true) && !self.conn.other.is_in_doubt() {
-            self.conn.seen = (false, false);
+        if self.conn.seen == Places::REPORT && !self.conn.other.is_in_doubt() {
+            self.conn.seen = Places::default();
+            if steady {
+                return self.turns(at, slot);
+            }
             self.report(at, slot);
             let word = self.conn.inputs.status;
             let waits = !word.active() && (self.profile.runs() || self.conn.dark_at.is_some());
-            // All of it comes with each reply, and time changes nothing of it.
-            self.conn.steady = control
-                && reference
-                && status
-                && speed
-                && word.healthy()
-                && !waits
-                && self.conn.refused == (0, 0);
+            // Time changes nothing of it.
+            let is_steady = word.healthy() && !waits && self.conn.refused == (0, 0);
+            self.conn.proved = self.profile.proved().filter(|_| is_steady);
         }
     }
 
@@ -86,9 +96,8 @@ impl Station {
     fn compare(&mut self, at: Time, control: bool, reference: bool, unwritten: bool, slot: &mut Slot) {
         let word = self.conn.image.of(Role::Control).filter(|_| control).map(|count| i32::from(count as u16));
         let speed = self.conn.image.of(Role::Reference).filter(|_| reference);
-        let control = word.map(|word| self.conn.control.read(word));
-        let reference = speed.map(|speed| self.conn.reference.read(speed));
-        self.note_taken(at);
+        let control = word.map(|word| self.conn.inputs.control.read(word));
+        let reference = speed.map(|speed| self.conn.inputs.reference.read(speed));
         let shown = [control, reference];
         if shown.contains(&Some(Shown::Refused)) {
             Own::NotTaken.count(&mut slot.counters);
@@ -119,15 +128,14 @@ impl Station {
         slot.notices.other_master |= proved;
     }
 
-    /// The values that the drive has accepted by now.
-    pub(super) fn note_taken(&mut self, at: Time) {
-        let control = self.conn.control.taken().map(|count| ControlWord(count as u16));
-        if control.is_some() && control != self.conn.inputs.control {
+    /// The control word that the drive has accepted was this one before.
+    #[inline]
+    pub(super) fn note_taken(&mut self, at: Time, before: Option<ControlWord>) {
+        let control = self.conn.inputs.control();
+        if control.is_some() && control != before {
             self.control_taken = control;
             self.conn.inputs.control_since = at;
         }
-        self.conn.inputs.control = control;
-        self.conn.inputs.reference = self.conn.reference.taken();
     }
 
     /// A new status; `named`: the number of a trip came with it.
@@ -135,8 +143,7 @@ impl Station {
     fn take_status(&mut self, at: Time, named: bool) {
         let Some(status) = self.conn.image.of(Role::Status).map(|raw| StatusWord(raw as u16)) else { return };
         // It has accepted the command to run; its earlier state is no answer to that.
-        let running = self.profile.runs()
-            && self.conn.inputs.control.is_some_and(|word| word.has_any(ControlWord::ANY_RUN));
+        let running = self.profile.runs() && self.conn.inputs.runs();
         let was_active = running && (self.conn.was_active || status.active());
         let off = status.healthy() && !status.active();
         let dark = running && off && (was_active || self.profile.should_be_active(at, &self.conn.inputs));
@@ -186,7 +193,6 @@ impl Station {
     #[inline]
     fn turns(&mut self, at: Time, slot: &mut Slot) {
         let velocity = f64::from(self.conn.image.of(Role::Speed).unwrap_or(0)) * self.velocity_per_count;
-        self.conn.inputs.velocity = velocity;
         let Slot { status: report, notices, .. } = slot;
         notices.fresh = true;
         (report.at, report.velocity) = (at, velocity);
