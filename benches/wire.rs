@@ -42,6 +42,7 @@ use fieldbeat::bus::profibus::DATA_MAX;
 use fieldbeat::telemetry::Counters;
 use fieldbeat::time::{MS, Time, US};
 use fieldbeat_core::axis::acyclic::AcyclicEnds;
+use fieldbeat_core::axis::doorbell::Bells;
 use fieldbeat_core::bus::{Bus, Ends, Exchange, Grid, Notes, Opened, Slot};
 use fieldbeat_core::drive::machine::Machine;
 use fieldbeat_core::inputs::InputLog;
@@ -323,7 +324,7 @@ impl Clocked {
         let address = Ipv4Addr::new(127, 90, 1, 10);
         let plan = EthernetIpPlan::new(Ipv4Addr::LOCALHOST, vec![moons::drive(address)]);
         let drive = &plan.drives[0];
-        let (loop_end, mut session_end) = exchange::both();
+        let (loop_end, mut session_end) = exchange::both(Bells::new(1).bell(0));
         let (station, native) =
             ethernet_ip::station::Station::new(drive, PERIOD_NS, loop_end, &InputLog::default());
         let has_room = session_end.tell(News::Opened(Connection {

@@ -11,10 +11,11 @@ use super::station::{ROOM, Station};
 use super::target::commanding;
 use super::wire::io::{Outgoing, Packet, PacketError};
 use fieldbeat_core::axis::acyclic;
+use fieldbeat_core::axis::doorbell::Bells;
 use fieldbeat_core::bus::native::Inputs;
 use fieldbeat_core::bus::{Bus, BusNumbers, Cycle, Ends, Notes, OpenError, Opened, Slot, Unmatched, drives};
 use fieldbeat_core::net::{
-    self, Carriers, Datagrams, LinkNotes, Lock, Outbox, Sent, StreamPeer, Streams, UdpOptions,
+    self, Carriers, Datagrams, LinkNotes, Lock, Outbox, Received, Sent, StreamPeer, Streams, UdpOptions,
 };
 use fieldbeat_core::rt::Regions;
 
@@ -30,6 +31,8 @@ pub(crate) struct EthernetIpBus {
     by_address: Box<[(Ipv4Addr, usize)]>,
     unmatched: Unmatched,
     sessions: Box<dyn Streams>,
+    /// Of the sessions that have something to say.
+    bells: Bells,
     /// The drives are this master's until their connections are given up.
     _locks: Vec<Lock>,
 }
@@ -76,8 +79,9 @@ impl EthernetIpBus {
         let (mut stations, mut peers) = (Vec::new(), Vec::new());
         let (mut notes, mut remarks) = (Vec::new(), Vec::new());
         let mut of_application = Vec::new();
+        let bells = Bells::new(plan.drives.len()).logged(&carriers.log());
         for (index, drive) in plan.drives.iter().enumerate() {
-            let (loop_end, session_end) = exchange::both();
+            let (loop_end, session_end) = exchange::both(bells.bell(index));
             let (calls, port) = acyclic::queue(drive.axis.parameter_queue, commanding());
             let session = Session::new(plan, index, period_ns, session_end, port, net.groups());
             notes.push(session.notes());
@@ -119,45 +123,71 @@ impl EthernetIpBus {
             by_address,
             unmatched: Unmatched::default(),
             sessions,
+            bells,
             _locks: locks,
         };
         Ok(Opened::new(bus, ends, notes))
+    }
+
+    /// Takes in what the sessions have to say.
+    fn hear(&mut self, cycle: &Cycle, slots: &mut [Slot]) {
+        if !self.bells.take() {
+            return;
+        }
+        for index in self.bells.rung() {
+            if let (Some(station), Some(slot)) = (self.stations.get_mut(index), slots.get_mut(index))
+                && let Some(destination) = station.hear(cycle, slot)
+            {
+                self.outbox.set_peer(index, destination);
+            }
+        }
+        // Whoever says more rings again.
+        self.bells.silence(|_| false);
     }
 
     /// Takes in what is in the socket and hands each packet to the station of its connection.
     fn take_in(&mut self, slots: &mut [Slot]) {
         let EthernetIpBus { net, stations, by_address, unmatched, .. } = self;
         let is_taken = net::take_in(&mut **net, &mut |datagram| {
-            let source = *datagram.from.ip();
-            let packet = Packet::parse(datagram.bytes);
             // The ids of packets to this master only are its own choice: the index is the upper half of them.
-            if let (Ok(packet), false) = (&packet, datagram.truncated) {
-                let index = (packet.connection >> 16) as usize;
-                if let (Some(station), Some(slot)) = (stations.get_mut(index), slots.get_mut(index))
-                    && station.is(source, packet.connection)
-                {
-                    return station.take(datagram.at, packet, slot);
-                }
+            if let (Ok(packet), false) = (Packet::parse(datagram.bytes), datagram.truncated)
+                && let index = (packet.connection >> 16) as usize
+                && let (Some(station), Some(slot)) = (stations.get_mut(index), slots.get_mut(index))
+                && station.is(*datagram.from.ip(), packet.connection)
+            {
+                return station.take(datagram.at, &packet, slot);
             }
-            let Ok(place) = by_address.binary_search_by_key(&source, |(ip, _)| *ip) else {
-                unmatched.datagrams += 1;
-                return from_elsewhere(&packet, stations, slots);
-            };
-            let Some((_, index)) = by_address.get(place).copied() else { return };
-            let (Some(station), Some(slot)) = (stations.get_mut(index), slots.get_mut(index)) else {
-                return;
-            };
-            match packet {
-                Ok(packet) if !datagram.truncated && station.is(source, packet.connection) => {
-                    station.take(datagram.at, &packet, slot);
-                }
-                Ok(packet) if !datagram.truncated => station.foreign(packet.connection, slot),
-                Ok(_) => Station::refuse(None, slot),
-                Err(why) => Station::refuse(Some(why), slot),
-            }
+            unmatched.datagrams += u64::from(!take_other(&datagram, by_address, stations, slots));
         });
         unmatched.errors += u64::from(!is_taken);
     }
+}
+
+/// Any other datagram; false: no drive has its address.
+#[inline(never)]
+fn take_other(
+    datagram: &Received<'_>,
+    by_address: &[(Ipv4Addr, usize)],
+    stations: &mut [Station],
+    slots: &mut [Slot],
+) -> bool {
+    let source = *datagram.from.ip();
+    let packet = Packet::parse(datagram.bytes);
+    let Ok(place) = by_address.binary_search_by_key(&source, |(ip, _)| *ip) else {
+        from_elsewhere(&packet, stations, slots);
+        return false;
+    };
+    let index = by_address.get(place).map_or(usize::MAX, |(_, index)| *index);
+    let (Some(station), Some(slot)) = (stations.get_mut(index), slots.get_mut(index)) else { return true };
+    match packet {
+        Ok(packet) if !datagram.truncated && station.is(source, packet.connection) => {
+            station.take_any(datagram.at, packet, slot);
+        }
+        Ok(packet) if !datagram.truncated => station.foreign(packet.connection, slot),
+        Ok(_) => Station::refuse(None, slot),
+        Err(why) => Station::refuse(Some(why), slot),
+    }
+    true
 }
 
 /// A packet from an address that no drive has: with the id of a drive's connection, it counts there.
@@ -178,6 +208,7 @@ impl Bus for EthernetIpBus {
         self.net.memory(regions);
         self.outbox.memory(regions);
         self.sessions.memory(regions);
+        self.bells.memory(regions);
         regions.add(&*self.stations);
         regions.add(&*self.by_address);
         for station in &self.stations {
@@ -206,11 +237,7 @@ impl Bus for EthernetIpBus {
             }
         }
         // Before the packets of a connection that has just been opened.
-        for (index, (station, slot)) in self.stations.iter_mut().zip(slots.iter_mut()).enumerate() {
-            if let Some(destination) = station.hear(cycle, slot) {
-                self.outbox.set_peer(index, destination);
-            }
-        }
+        self.hear(cycle, slots);
         // Packets answer nothing: the window stays open for none of them.
         self.take_in(slots);
         for (station, slot) in self.stations.iter_mut().zip(slots) {
@@ -239,11 +266,11 @@ impl Bus for EthernetIpBus {
 
     fn shut_down(&mut self, cycle: &Cycle, slots: &mut [Slot]) -> bool {
         let mut done = true;
-        for (station, slot) in self.stations.iter_mut().zip(slots) {
+        for (station, slot) in self.stations.iter_mut().zip(slots.iter_mut()) {
             done &= station.shut_down(cycle);
             station.watch(cycle, slot);
-            station.hear(cycle, slot);
         }
+        self.hear(cycle, slots);
         done
     }
 

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use super::plan::{Layout, Version};
+use fieldbeat_core::axis::doorbell::Bell;
 use fieldbeat_core::inputs::entry::{peer, peer_of};
 use fieldbeat_core::inputs::{Inlet, InputLog};
 use fieldbeat_core::packed::Part;
@@ -160,17 +161,19 @@ pub struct LoopEnd {
 #[derive(Debug)]
 pub struct SessionEnd {
     news: Producer<News>,
+    /// Rings for the loop, which looks for news only then.
+    bell: Bell,
     wishes: Consumer<Wish>,
     flags: Arc<Flags>,
 }
 
-/// Both ends.
-pub fn both() -> (LoopEnd, SessionEnd) {
+/// Both ends, with the bell of the drive.
+pub fn both(bell: Bell) -> (LoopEnd, SessionEnd) {
     let mut regions = Regions::new();
     let (news_in, news) = rt::ring(ROOM, &mut regions);
     let (wishes, wishes_out) = rt::ring(ROOM, &mut regions);
     let flags = Arc::new(Flags::default());
-    let session = SessionEnd { news: news_in, wishes: wishes_out, flags: Arc::clone(&flags) };
+    let session = SessionEnd { news: news_in, bell, wishes: wishes_out, flags: Arc::clone(&flags) };
     (LoopEnd { news: Inlet::new(news), wishes, flags, regions, log: InputLog::default() }, session)
 }
 
@@ -182,9 +185,8 @@ impl LoopEnd {
     }
 
     /// The next news.
-    #[inline]
     pub fn news(&mut self) -> Option<News> {
-        if self.news.is_empty() { None } else { self.news.pop() }
+        self.news.pop()
     }
 
     /// Tells the session; false if there is no room: again in a later cycle.
@@ -213,7 +215,9 @@ impl LoopEnd {
 impl SessionEnd {
     /// Tells the loop; false if there is no room: again later.
     pub fn tell(&mut self, news: News) -> bool {
-        self.news.push(news).is_ok()
+        let is_told = self.news.push(news).is_ok();
+        self.bell.ring();
+        is_told
     }
 
     /// The next wish.

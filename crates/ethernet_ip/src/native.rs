@@ -149,7 +149,7 @@ parts! {
 }
 
 /// Publishes an input assembly of this kind.
-#[inline]
+#[inline(never)] // Inlined, it costs more.
 pub(super) fn publish(port: &mut NativePort, at: Time, begun: u32, kind: (Version, Layout), data: &[u8]) {
     let kind = match kind {
         (Version::V1, _) => 1,

@@ -144,13 +144,16 @@ struct State {
 
 /// The profile of one drive.
 #[derive(Debug)]
+#[repr(C)] // What an exchange touches in any case comes last: more of that follows in the station.
 pub(super) struct Profile {
+    facts: Facts,
+    rules: Rules,
     state: Prepared<State>,
     /// Another packet of the drive that says the same proves the same, and the next of ours is like the last one, as
     /// long as this is the revision of the state.
     settled: Option<u64>,
-    facts: Facts,
-    rules: Rules,
+    /// So many outputs of the application have begun.
+    begun: u32,
 }
 
 /// What does not change.
@@ -192,6 +195,7 @@ impl Profile {
         Profile {
             state: Prepared::new(state),
             settled: None,
+            begun: 0,
             facts: Facts::default(),
             rules: Rules {
                 units: drive.axis.units,
@@ -297,12 +301,13 @@ impl Profile {
         let begins = state.motion.serial != before.motion.serial;
         let is_native = matches!(state.motion.value, Motion::Native(_));
         native.left(state.native_taken != before.native_taken, begins.then_some(is_native));
+        self.begun = state.native_taken;
     }
 
     /// So many outputs of the application have begun.
     #[inline]
     pub(super) fn begun_outputs(&self) -> u32 {
-        self.state.left().native_taken
+        self.begun
     }
 }
 

@@ -11,6 +11,7 @@ use crate::plan::{Delivery, Expected, Layout};
 use crate::target;
 use crate::wire::tests::hex;
 use fieldbeat_core::axis::acyclic::Acyclic;
+use fieldbeat_core::axis::doorbell::Bells;
 
 mod acyclic;
 mod any;
@@ -117,7 +118,7 @@ impl Bench {
         let mut plan = EthernetIpPlan::new(Ipv4Addr::new(10, 0, 0, 1), drives);
         plan.originator = Originator { vendor: 0x1234, serial: 0x00C0_FFEE };
         change(&mut plan);
-        let (loop_end, end) = both();
+        let (loop_end, end) = both(Bells::new(1).bell(0));
         let (acyclic, port) = Acyclic::alone(16, target::commanding(), Arc::new(crate::notation::Addresses));
         let session = Session::new(&plan, 1, PERIOD_NS, end, port, groups);
         let (now, state) = (Time(MS), HandshakeState::More);

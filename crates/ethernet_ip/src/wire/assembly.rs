@@ -82,15 +82,9 @@ impl Inputs {
         if data.len() != input_size(version) {
             return None;
         }
-        match (version, layout) {
-            (Version::V1, _) => Inputs::first_version(Reader(data)),
-            (Version::V2, layout) => {
-                let mut elements = [0_u32; ELEMENTS];
-                for (element, bytes) in elements.iter_mut().zip(data.as_chunks().0) {
-                    *element = u32::from_le_bytes(*bytes);
-                }
-                Some(Inputs::second_version(&elements, layout))
-            }
+        match version {
+            Version::V1 => Inputs::first_version(Reader(data)),
+            Version::V2 => Inputs::second_version(data, layout),
         }
     }
 
@@ -114,29 +108,30 @@ impl Inputs {
         })
     }
 
-    fn second_version(elements: &[u32; ELEMENTS], layout: Layout) -> Inputs {
-        let [status, alarm, voltage, current, temperature, encoder, absolute, e7, e8, e9, e10, _, a1, a2] =
-            *elements;
-        let (position_error, velocity, extended_inputs, main_inputs, outputs) = match layout {
-            Layout::Manual => (Some(e7 as i32), e8, e9, e10, None),
-            Layout::Page => (None, e7, e8, e9, Some(e10)),
-        };
-        Inputs {
+    /// The assembly of a drive of the second version.
+    #[inline(always)] // What is not needed of it is not decoded.
+    pub fn second_version(data: &[u8], layout: Layout) -> Option<Inputs> {
+        let (elements, []) = data.as_chunks() else { return None };
+        let elements: &[[u8; 4]; ELEMENTS] = elements.try_into().ok()?;
+        let element = |place: usize| u32::from_le_bytes(elements[place]);
+        // The manual's layout has one more, and ends earlier.
+        let (behind, is_page) = (7 + usize::from(layout == Layout::Manual), layout == Layout::Page);
+        Some(Inputs {
             // The upper half is not used.
-            status: status as u16,
-            alarm,
-            voltage,
-            current: current as i32,
-            temperature: temperature as i32,
-            encoder: encoder as i32,
-            absolute: absolute as i32,
-            position_error,
-            velocity: velocity as i32,
-            extended_inputs,
-            main_inputs,
-            outputs,
-            analog: Some([a1, a2]),
-        }
+            status: element(0) as u16,
+            alarm: element(1),
+            voltage: element(2),
+            current: element(3) as i32,
+            temperature: element(4) as i32,
+            encoder: element(5) as i32,
+            absolute: element(6) as i32,
+            position_error: (!is_page).then_some(element(7) as i32),
+            velocity: element(behind) as i32,
+            extended_inputs: element(behind + 1),
+            main_inputs: element(behind + 2),
+            outputs: is_page.then_some(element(10)),
+            analog: Some([element(12), element(13)]),
+        })
     }
 }
 

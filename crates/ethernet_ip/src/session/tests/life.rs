@@ -117,7 +117,7 @@ fn the_orderly_end_closes_reports_and_unregisters() {
     bench.unregisters();
     // A loop that is gone wishes it.
     let mut bench = Bench::running(|_| ());
-    drop(std::mem::replace(&mut bench.loop_end, both().0));
+    drop(std::mem::replace(&mut bench.loop_end, both(Bells::new(1).bell(0)).0));
     bench.pass(LOOK_NS);
     bench.trade(CLOSE, CLOSED);
     bench.unregisters();
