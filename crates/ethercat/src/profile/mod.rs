@@ -143,31 +143,8 @@ impl State {
 
 /// The profile of one drive.
 #[derive(Debug)]
-#[repr(C)] // What an exchange touches in any case comes first, and is dense.
+#[repr(C)] // What an exchange touches in any case is dense: from the end of `state` to the begin of `native`.
 pub struct Profile {
-    /// The slot of the grid that the prepared exchange is built for, and the row desired in it.
-    pub grid: Time,
-    wanted_row: u64,
-    row: Delivery,
-    /// The exchanges that were answered.
-    answers: u64,
-    /// Raw setpoint of one user unit, of one user unit/s, or of one per cent of the rated torque; negative if the
-    /// axis is inverted. `origin`: the position that is 0 there.
-    scale: f64,
-    origin: f64,
-    quantity: Quantity,
-    /// What is neither control word nor setpoint is in the outputs.
-    is_filled: bool,
-    /// Of the prepared exchange: the control word, and the setpoint. It is built anew each time: the application writes
-    /// some outputs, or a target follows the actual position.
-    builds_each: bool,
-    control: ControlWord,
-    setpoint: i32,
-    sent: Sent,
-    state: Prepared<State>,
-    /// The offsets of its process data.
-    pub offsets: Offsets,
-    native: NativePort,
     /// Bits that the mode of the setpoint needs while the drive is in operation.
     mode_bits: u16,
     /// It may have a watchdog: the configuration does not switch it off.
@@ -180,21 +157,45 @@ pub struct Profile {
     switching: Switching,
     /// When it was last seen without its hardware enable.
     dark_at: Option<Time>,
+    state: Prepared<State>,
+    /// The slot of the grid that the prepared exchange is built for, and the row desired in it.
+    pub grid: Time,
+    wanted_row: u64,
+    /// The exchanges that were answered.
+    answers: u64,
+    /// Of the prepared exchange: the setpoint, and the control word. It is built anew each time: the application writes
+    /// some outputs, or a target follows the actual position.
+    setpoint: i32,
+    control: ControlWord,
+    quantity: Quantity,
+    builds_each: bool,
+    /// Raw setpoint of one user unit, of one user unit/s, or of one per cent of the rated torque; negative if the
+    /// axis is inverted. `origin`: the position that is 0 there.
+    scale: f64,
+    origin: f64,
+    row: Delivery,
+    sent: Sent,
+    /// What is neither control word nor setpoint is in the outputs.
+    is_filled: bool,
+    /// The offsets of its process data.
+    pub offsets: Offsets,
+    native: NativePort,
 }
 
 /// What went out.
 #[derive(Clone, Copy, Debug, Default)]
+#[repr(C)] // As in the profile.
 struct Sent {
-    /// The last exchange had a drive follow setpoints, or home.
-    follows: bool,
-    homes: bool,
-    /// The setpoints of the last exchange, and of the one before.
-    setpoints: (i32, i32),
     /// The control words of the last exchange, and of the one before.
     control: Option<ControlWord>,
     before: Option<ControlWord>,
     /// Both command it to be on.
     is_on: bool,
+    /// The last exchange had a drive follow setpoints, or home.
+    follows: bool,
+    homes: bool,
+    /// The setpoints of the last exchange, and of the one before.
+    setpoints: (i32, i32),
 }
 
 /// A drive that is commanded to switch on: it was powered since; or commanded for the first time then.
@@ -245,7 +246,13 @@ impl Profile {
     /// position, and whether it was in operation there, for targets that are not the setpoint. Built again for the same
     /// send, it is the same.
     #[inline]
-    pub(super) fn encode(&mut self, grid: Time, desired: &Desired, actual: (i32, bool), outputs: &mut [u8]) {
+    pub(super) fn encode(
+        &mut self,
+        grid: Time,
+        desired: &Desired,
+        actual: impl Fn() -> (i32, bool),
+        outputs: &mut [u8],
+    ) {
         let setpoint = &desired.setpoint;
         self.grid = grid;
         self.wanted_row = setpoint.row;
@@ -258,14 +265,14 @@ impl Profile {
             rounded(if is_velocity { setpoint.velocity } else { setpoint.torque } * self.scale) as i32
         };
         if self.builds_each || !self.state.holds(desired.revision()) {
-            self.build(desired, actual);
+            self.build(desired, actual());
         }
         if !std::mem::replace(&mut self.is_filled, true) {
             self.offsets.fill(outputs);
         }
         self.offsets.write(self.control.0, self.setpoint, outputs);
         if self.builds_each {
-            self.encode_more(actual.0, outputs);
+            self.encode_more(actual().0, outputs);
         }
     }
 

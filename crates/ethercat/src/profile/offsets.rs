@@ -25,15 +25,15 @@ const NOWHERE: u16 = PDO_MAX as u16;
 pub struct Offsets {
     control: u16,
     setpoint: u16,
+    /// The setpoint has 16 bits.
+    is_short: bool,
+    /// There are position targets that are not the setpoint.
+    pub follows: bool,
     status: u16,
     position: u16,
     velocity: u16,
     torque: u16,
     fault: u16,
-    /// The setpoint has 16 bits.
-    is_short: bool,
-    /// There are position targets that are not the setpoint.
-    pub follows: bool,
     rest: Box<Rest>,
 }
 

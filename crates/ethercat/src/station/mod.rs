@@ -41,25 +41,46 @@ const ANY_ERROR: u16 = 0x1000;
 
 /// What was read of a drive since it was switched on.
 #[derive(Clone, Copy, Debug, Default)]
-#[repr(C)] // What a report changes in any case comes last, and is dense: more of that follows in the station.
+#[repr(C)]
 struct Seen {
+    /// The last position, and its slot of the grid; 0: there is none.
+    last: i64,
+    last_grid: Time,
+    inputs: Inputs,
+    actual: Unwrap,
+    demand: Unwrap,
+}
+
+/// The same of its faults.
+#[derive(Clone, Copy, Debug, Default)]
+struct Faults {
     /// The newest emergency that is no warning; code 0: none.
     emergency: Emergency,
     emergency_at: Time,
     faulted_at: Option<Time>,
     warning: u16,
-    demand: Unwrap,
-    actual: Unwrap,
-    /// The last position, and its slot of the grid; 0: there is none.
-    last: i64,
-    last_grid: Time,
-    inputs: Inputs,
 }
 
 /// One drive as the master sees it.
 #[derive(Debug)]
-#[repr(C)] // What an exchange touches in any case is dense: from the end of `seen` to the begin of `profile`.
+#[repr(C, align(64))] // What an exchange touches in any case is dense: in `profile`, and behind it up to `units`.
 pub struct Station {
+    faults: Faults,
+    pub(super) requests: Requests,
+    /// Its mailbox.
+    pub service: Service,
+    /// What is desired as process data, and what the inputs prove.
+    pub profile: Profile,
+    pub(super) sent_grid: Time,
+    /// Since the last report nothing has changed that could show in the next one, if its status is the same: only
+    /// the values of its process data count then. That holds for exchanges before this slot; 0: for none.
+    steady_until: Time,
+    /// It reports its position.
+    reports_position: bool,
+    /// The setpoints of the outputs are its demand, and reach it.
+    led: bool,
+    /// The outputs of the last exchange reach the drive.
+    reached: bool,
     /// What was read of it.
     seen: Seen,
     /// User units per count; user units/s of one count in a usual interval.
@@ -69,27 +90,12 @@ pub struct Station {
     standstill: f64,
     /// A per per mille; user units/s per count of 606Ch.
     current_per_permille: f64,
-    velocity_per_count: f64,
     units: Units,
-    /// It reports its position.
-    reports_position: bool,
-    /// The setpoints of the outputs are its demand, and reach it.
-    led: bool,
-    /// The outputs of the last exchange reach the drive.
-    reached: bool,
-    /// Since the last report nothing has changed that could show in the next one, if its status is the same: only
-    /// the values of its process data count then. That holds for exchanges before this slot; 0: for none.
-    steady_until: Time,
-    pub(super) sent_grid: Time,
-    /// What is desired as process data, and what the inputs prove.
-    pub profile: Profile,
+    velocity_per_count: f64,
     /// A faster motion while it homes is not a valid velocity.
     most_velocity: f64,
     /// Its setpoint is a position, and it reports its own.
     has_place: bool,
-    pub(super) requests: Requests,
-    /// Its mailbox.
-    pub service: Service,
     /// The slave's state; `None`: below SAFEOP, or not there.
     al: Option<AlState>,
     named_within_ns: u64,
@@ -131,6 +137,7 @@ impl Station {
             has_place: matches!(drive.setpoint(), Some(Setpoint::Position(_))) && reports_position(drive),
             profile,
             seen: Seen::default(),
+            faults: Faults::default(),
             requests: Requests::new(drive),
             service: Service::new(&drive.slave, port, turn_ns),
             al: None,
@@ -159,8 +166,9 @@ impl Station {
     /// Writes the outputs of the exchange in slot `grid`.
     #[inline]
     pub fn encode(&mut self, grid: Time, slot: &Slot, outputs: &mut [u8]) {
-        let is_enabled = self.seen.inputs.operational && self.seen.inputs.state == State::OperationEnabled;
-        self.profile.encode(grid, &slot.desired, (self.seen.last as i32, is_enabled), outputs);
+        let Seen { last, inputs, .. } = &self.seen;
+        let actual = || (*last as i32, inputs.operational && inputs.state == State::OperationEnabled);
+        self.profile.encode(grid, &slot.desired, actual, outputs);
     }
 
     /// The slave has entered this state; `None`: below SAFEOP, or not on the segment.
@@ -193,18 +201,18 @@ impl Station {
         self.was_restarted = true;
         self.profile.drive_restarted();
         self.requests.forget();
-        self.seen = Seen::default();
+        (self.seen, self.faults) = (Seen::default(), Faults::default());
     }
 
     /// The frame with the prepared outputs went out.
     #[inline(always)] // As `take`.
     pub fn sent(&mut self, sent_at: Time, reply_by: Time, slot: &mut Slot) {
         self.owe(sent_at, reply_by, slot);
-        self.reached = true;
         let is_new = self.profile.sent();
         slot.gone.grid = Some(self.profile.grid);
         if is_new || self.profile.grid >= self.steady_until {
             self.unsettle();
+            self.reached = true;
             self.request();
             self.profile.sent_anew();
         }
@@ -301,7 +309,7 @@ impl Station {
             let is_steady = self.reached
                 && operational
                 && !self.commanded
-                && (self.seen.emergency.code, self.seen.faulted_at) == (0, None)
+                && (self.faults.emergency.code, self.faults.faulted_at) == (0, None)
                 && self.requests.are_idle(self.profile.mode_wanted())
                 && self.profile.is_steady(&self.seen.inputs);
             if is_steady {
@@ -318,8 +326,8 @@ impl Station {
         }
         let Some(emergency) = self.service.take_emergency() else { return };
         match Clearing::of(&emergency) {
-            Some(Clearing::Warning) => self.seen.warning = emergency.code,
-            _ => (self.seen.emergency, self.seen.emergency_at) = (emergency, self.profile.grid),
+            Some(Clearing::Warning) => self.faults.warning = emergency.code,
+            _ => (self.faults.emergency, self.faults.emergency_at) = (emergency, self.profile.grid),
         }
         self.unsettle();
         slot.notices.emergency = Some(axis::Emergency { code: emergency.code, register: emergency.register });
@@ -371,7 +379,7 @@ impl Station {
         report.sto_open = !inputs.is_powered && self.profile.is_sto_open();
         report.homed = !homing && self.requests.reference == Some(Reference::Set);
         report.warning =
-            if status.has(StatusWord::WARNING) { u32::from(self.seen.warning.max(1)) } else { 0 };
+            if status.has(StatusWord::WARNING) { u32::from(self.faults.warning.max(1)) } else { 0 };
         report.fault = u32::from(inputs.fault);
         if let Some(shown) = self.requests.take_shown() {
             (report.monitor, notices.monitor_fresh) = (*shown, true);
@@ -443,24 +451,24 @@ impl Station {
         if !matches!(inputs.state, State::Fault | State::FaultReactionActive) {
             // An emergency that no fault has followed by then names no later one.
             let is_over =
-                self.seen.emergency.code != 0 && at.since(self.seen.emergency_at) > self.named_within_ns;
-            if self.seen.faulted_at.take().is_some() || is_over {
-                self.seen.emergency = Emergency::default();
+                self.faults.emergency.code != 0 && at.since(self.faults.emergency_at) > self.named_within_ns;
+            if self.faults.faulted_at.take().is_some() || is_over {
+                self.faults.emergency = Emergency::default();
             }
             (inputs.fault, inputs.named, inputs.cold) = (0, false, false);
             return;
         }
-        let since = *self.seen.faulted_at.get_or_insert(at);
+        let since = *self.faults.faulted_at.get_or_insert(at);
         let reported = self
             .profile
             .offsets
             .fault(received)
             .filter(|code| *code != 0)
-            .unwrap_or(self.seen.emergency.code);
+            .unwrap_or(self.faults.emergency.code);
         let waited = at.since(since) > self.named_within_ns;
         inputs.fault = if reported == 0 && waited { ANY_ERROR } else { reported };
         inputs.named = inputs.fault != 0;
-        let clearing = Clearing::of(&self.seen.emergency);
+        let clearing = Clearing::of(&self.faults.emergency);
         inputs.cold = matches!(clearing, Some(Clearing::ColdStart | Clearing::Never));
     }
 }
