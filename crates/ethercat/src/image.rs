@@ -16,8 +16,8 @@ use std::ops::Range;
 use super::plan::{Owner, SlavePlan};
 use super::slot::{Answer, Answers, Ask};
 use super::wire::frame::{
-    BROADCAST, Builder, CIRCULATED, Command, DATA_MAX, FRAME_MAX, Mac, Place, Stem, first_datagram,
-    set_command, set_index,
+    BROADCAST, Builder, CIRCULATED, Command, DATA_MAX, FRAME_MAX, Mac, Place, Stem, datagrams,
+    first_datagram, set_command, set_index,
 };
 use super::wire::registers::address;
 use fieldbeat_core::rt::Regions;
@@ -84,17 +84,20 @@ pub struct Frame {
     stem: Stem,
     mark: Place,
     /// The reference's time for all, and ours for the reference.
-    clock: Option<Place>,
-    time: Option<Place>,
+    clock: Option<[Place; 2]>,
     /// LRW; or LWR and LRD.
     data: Place,
     read: Option<Place>,
     states: Option<Place>,
     slot: [Option<Place>; super::slot::DATAGRAMS],
-    /// All datagrams, in their order: so many, the first ones permanent.
-    places: [Place; PLACES],
+    /// Where the datagrams begin, in their order: so many, the first ones permanent. No slave changes the addresses of
+    /// the first `staying` ones; states and slot come last, and may be addressed by positions.
+    headers: [u16; PLACES],
     count: usize,
     fixed: usize,
+    staying: usize,
+    /// The end of the last one.
+    end: usize,
     logical: u32,
 }
 
@@ -208,9 +211,9 @@ impl Frame {
         let mut builder = Builder::new(&mut *bytes, BROADCAST, source)?;
         let nop = |builder: &mut Builder<'_>, length| builder.push(Command::Nop, 0, length);
         let mark = nop(&mut builder, MARK_SIZE)?;
-        let (clock, time) = match clock {
-            true => (Some(nop(&mut builder, TIME_SIZE)?), Some(nop(&mut builder, TIME_SIZE)?)),
-            false => (None, None),
+        let clock = match clock {
+            true => Some([nop(&mut builder, TIME_SIZE)?, nop(&mut builder, TIME_SIZE)?]),
+            false => None,
         };
         let (data, read) = if lrw {
             (builder.push(Command::Lrw(logical), 0, outputs + inputs)?, None)
@@ -223,13 +226,19 @@ impl Frame {
         let stem = builder.stem();
         let length = builder.finish();
         let begin = data.data().start;
-        let mut places = [Place::default(); PLACES];
-        let all = [Some(mark), clock, time, Some(data), read, states].into_iter().flatten();
-        let fixed = places.iter_mut().zip(all).map(|(place, one)| *place = one).count();
+        let mut headers = [0; PLACES];
+        let stay = [mark].into_iter().chain(clock.into_iter().flatten()).chain([data]).chain(read);
+        let staying = headers.iter_mut().zip(stay).map(|(header, place)| *header = place.at as u16).count();
+        let fixed = staying + usize::from(first);
+        if let Some(states) = states {
+            headers[staying] = states.at as u16;
+        }
         Some(Frame {
-            places,
+            headers,
             count: fixed,
             fixed,
+            staying,
+            end: states.or(read).unwrap_or(data).end(),
             next: bytes.clone(),
             sent: vec![0; outputs].into(),
             outputs: begin..begin + outputs,
@@ -237,7 +246,6 @@ impl Frame {
             length,
             stem,
             mark,
-            time,
             clock,
             data,
             read,
@@ -315,23 +323,22 @@ impl Frame {
     /// The slave with this station address is the reference from now on. `to_all`: its time goes to all others,
     /// otherwise it is only read; `follows`: it receives our time.
     pub fn refer_to(&mut self, station: Option<u16>, to_all: bool, follows: bool) {
-        let read = |station| match to_all {
-            true => Command::Frmw(station, address::DC_TIME),
-            false => Command::Fprd(station, address::DC_TIME),
-        };
-        if let Some(place) = self.clock {
-            set_command(&mut *self.bytes, place, station.map_or(Command::Nop, read));
+        let Some([clock, time]) = self.clock else { return };
+        let mut set = |place, command| set_command(&mut *self.bytes, place, command);
+        match station {
+            Some(station) if to_all => set(clock, Command::Frmw(station, address::DC_TIME)),
+            Some(station) => set(clock, Command::Fprd(station, address::DC_TIME)),
+            None => set(clock, Command::Nop),
         }
-        if let Some(place) = self.time {
-            let address = station.filter(|_| follows);
-            let command = address.map_or(Command::Nop, |station| Command::Fpwr(station, address::DC_TIME));
-            set_command(&mut *self.bytes, place, command);
+        match station.filter(|_| follows) {
+            Some(station) => set(time, Command::Fpwr(station, address::DC_TIME)),
+            None => set(time, Command::Nop),
         }
     }
 
     /// Our time for the reference; and for all, if the reference is absent and cannot replace it with its own.
     pub fn set_time(&mut self, ns: u64) {
-        for place in [self.clock, self.time].into_iter().flatten() {
+        for place in self.clock.iter().flatten() {
             self.bytes[place.data()].copy_from_slice(&(ns as u32).to_le_bytes());
         }
     }
@@ -342,11 +349,12 @@ impl Frame {
             return;
         }
         (self.slot, self.count) = ([None; super::slot::DATAGRAMS], self.fixed);
+        self.end = self.states.map_or(self.end, Place::end);
         let Some(mut builder) = Builder::resume(&mut *self.bytes, self.stem) else { return };
         for (slot, (command, data)) in self.slot.iter_mut().zip(ask.datagrams()) {
             *slot = builder.push_with(command, 0, data);
-            if let (Some(place), Some(one)) = (self.places.get_mut(self.count), *slot) {
-                *place = one;
+            if let (Some(header), Some(place)) = (self.headers.get_mut(self.count), *slot) {
+                (*header, self.end) = (place.at as u16, place.end());
                 self.count += 1;
             }
         }
@@ -356,32 +364,48 @@ impl Frame {
     /// Makes it the frame with this number of this master.
     pub fn number(&mut self, mark: Mark) {
         self.bytes[self.mark.data()].copy_from_slice(&mark.bytes());
-        for place in &self.places[..self.count] {
-            set_index(&mut *self.bytes, *place, mark.number as u8);
+        for header in self.headers.iter().take(self.count) {
+            let place = Place { at: usize::from(*header), length: 0 };
+            set_index(&mut *self.bytes, place, mark.number as u8);
         }
     }
 
     /// Compares a received frame with this one, which was sent.
+    #[inline]
     pub fn read(&self, received: &[u8]) -> Read {
-        let mut count: u16 = 0;
-        // States and slot come last: their addresses may be positions.
-        let stays = self.states.map_or(FRAME_MAX, |states| states.at);
-        for place in &self.places[..self.count] {
-            match returned(&*self.bytes, received, *place, place.at < stays) {
-                Read::Good(counter) if *place == self.data || Some(*place) == self.read => {
-                    count = count.saturating_add(counter);
-                }
-                Read::Good(_) => {}
-                other => return other,
-            }
+        let (Some(sent), Some(whole)) = (self.bytes.get(..self.end), received.get(..self.end)) else {
+            return self.read_other(received);
+        };
+        let (stay, counted) = self.headers();
+        let changes =
+            |headers: &[u16]| headers.iter().fold(0, |all, at| all | change(sent, whole, usize::from(*at)));
+        if changes(stay) | changes(counted) & !POSITION != 0 {
+            return self.read_other(received);
         }
-        Read::Good(count)
+        let counter = |place| answer(received, place).map_or(0, |answer| answer.working_counter);
+        Read::Good(counter(self.data).saturating_add(self.read.map_or(0, counter)))
+    }
+
+    /// The same of one that is another one: the first datagram that is decides.
+    #[cold]
+    fn read_other(&self, received: &[u8]) -> Read {
+        let places = datagrams(self.bytes()).into_iter().flatten().map_while(Result::ok);
+        let mut reads = places
+            .enumerate()
+            .map(|(index, datagram)| returned(&*self.bytes, received, datagram.place, index < self.staying));
+        reads.find(|read| !matches!(read, Read::Good(_))).unwrap_or(Read::Other)
+    }
+
+    /// Where the datagrams begin whose addresses no slave changes, and all others.
+    #[inline]
+    fn headers(&self) -> (&[u16], &[u16]) {
+        self.headers[..self.count].split_at(self.staying)
     }
 
     /// The time of the reference in a frame that was read, if the reference took part: otherwise the other slaves
     /// count the datagram, and it has what was sent.
     pub fn time_of(&self, received: &[u8]) -> Option<u32> {
-        let place = self.clock?;
+        let [place, _] = self.clock?;
         let answer = answer(received, place)?;
         let time = u32::from_le_bytes(answer.data.try_into().ok()?);
         (answer.working_counter > 0 && self.bytes[place.at] != Command::Nop.number()).then_some(time)
@@ -399,19 +423,24 @@ impl Frame {
     }
 }
 
-/// Compares the datagram at `place` of a received frame with the one sent there: everything that no slave changes
-/// has to be the same. `stays`: its address is not counted up by the slaves.
+/// The bit of `CIRCULATED` in the first eight bytes of a datagram.
+const WENT_ROUND: u64 = (CIRCULATED as u64) << 48;
+/// The two lower bytes of the address there, in which a position is counted up.
+const POSITION: u64 = 0xFFFF << 16;
+
+/// What differs in the first eight bytes of a datagram: all that no slave changes has to be the same.
+#[inline]
+fn change(sent: &[u8], received: &[u8], at: usize) -> u64 {
+    let header = |frame: &[u8]| Some(u64::from_le_bytes(*frame.get(at..at + 8)?.first_chunk()?));
+    header(sent).zip(header(received)).map_or(u64::MAX, |(sent, received)| sent ^ received)
+}
+
+/// Compares the datagram at `place` of a received frame with the one sent there. `stays`: its address is not counted up
+/// by the slaves.
 pub fn returned(sent: &[u8], received: &[u8], place: Place, stays: bool) -> Read {
-    /// The bit of `CIRCULATED` in the first eight bytes; and the two lower ones of the address, in which a position
-    /// is counted up.
-    const WENT_ROUND: u64 = (CIRCULATED as u64) << 48;
-    const POSITION: u64 = 0xFFFF << 16;
-    let header = |frame: &[u8]| frame.get(place.at..)?.first_chunk().map(|bytes| u64::from_le_bytes(*bytes));
     let counter = received.get(place.data().end..).and_then(<[u8]>::first_chunk);
-    let (Some(sent), Some(read), Some(counter)) = (header(sent), header(received), counter) else {
-        return Read::Other;
-    };
-    match (sent ^ read) & if stays { u64::MAX } else { !POSITION } {
+    let Some(counter) = counter else { return Read::Other };
+    match change(sent, received, place.at) & if stays { u64::MAX } else { !POSITION } {
         0 => Read::Good(u16::from_le_bytes(*counter)),
         WENT_ROUND => Read::Circulated,
         _ => Read::Other,

@@ -104,18 +104,22 @@ impl Handler for Endpoints<'_> {
         })
     }
 
-    fn advance(&mut self, owner: Owner, now: Time) {
-        match self.of(owner) {
-            Some(End::Drive(station, slot)) => {
+    #[inline]
+    fn advance(&mut self, owner: Owner, now: Time) -> Option<&mut Service> {
+        Some(match self.of(owner)? {
+            End::Drive(station, slot) => {
                 station.service.advance(now, slot.link, slot.guarded);
                 slot.commanded = station.service.commands();
                 if slot.commanded {
                     station.unsettle();
                 }
+                &mut station.service
             }
-            Some(End::Device(device)) => device.service.advance(now, Link::Online, false),
-            None => {}
-        }
+            End::Device(device) => {
+                device.service.advance(now, Link::Online, false);
+                &mut device.service
+            }
+        })
     }
 
     fn state(&mut self, owner: Owner, state: SlaveState) {

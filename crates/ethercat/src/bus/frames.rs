@@ -90,8 +90,7 @@ impl EthercatBus {
         if known.answered {
             return self.count(Some(frame), slots, |counters| counters.duplicate += 1);
         }
-        let flight = self.flights[frame];
-        let Some(sent) = flight.sent.filter(|_| flight.number == number) else {
+        let Some(sent) = self.flights[frame].sent.filter(|_| self.flights[frame].number == number) else {
             self.known[place].answered = true;
             return self.count(Some(frame), slots, |counters| counters.late += 1);
         };
@@ -106,8 +105,14 @@ impl EthercatBus {
                     // Too late for the exchanges of the drives, but not for what proceeds step by step.
                     self.count_late(frame, &sent, slots);
                 }
-                let back =
-                    Back { sent, frame: &self.image.frames()[frame], at, received, counter, in_window };
+                let back = Back {
+                    sent: &sent,
+                    frame: &self.image.frames()[frame],
+                    at,
+                    received,
+                    counter,
+                    in_window,
+                };
                 let (drives, devices) = (&mut self.drives[..], &mut self.devices[..]);
                 self.segment.receive(&back, frame, &mut Endpoints { drives, devices, slots });
                 if std::mem::take(&mut self.segment.lowered) {
@@ -150,14 +155,12 @@ impl EthercatBus {
 
     /// Completes the first frame, once nothing of the one before is under way.
     pub(super) fn finish(&mut self, cycle: &Cycle, slots: &mut [Slot]) {
-        if !self.prepared {
-            self.segment.left = !self.ending && self.other.is_there(cycle.grid);
-            if let Some(first) = self.image.frames_mut().first_mut() {
-                let (drives, devices) = (&mut self.drives[..], &mut self.devices[..]);
-                self.segment.prepare(cycle, first, &mut Endpoints { drives, devices, slots });
-            }
-            self.prepared = true;
+        self.segment.left = !self.ending && self.other.is_there(cycle.grid);
+        if let Some(first) = self.image.frames_mut().first_mut() {
+            let (drives, devices) = (&mut self.drives[..], &mut self.devices[..]);
+            self.segment.prepare(cycle, first, &mut Endpoints { drives, devices, slots });
         }
+        self.prepared = true;
     }
 
     /// Opens the exchanges of the drives that are due with frame `number`.

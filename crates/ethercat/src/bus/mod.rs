@@ -228,7 +228,9 @@ impl Bus for EthercatBus {
                 self.wire.set(0, if is_other { WireNote::OtherMaster } else { WireNote::NothingBack });
             }
         }
-        self.finish(cycle, slots);
+        if !self.prepared {
+            self.finish(cycle, slots);
+        }
         for number in 0..self.flights.len() {
             let sent_at = self.send_frame(number, cycle);
             self.requested(number, sent_at, cycle, slots);
@@ -261,13 +263,13 @@ impl Bus for EthercatBus {
             let place = frames[device.offsets.frame].outputs(&device.offsets.outputs).into_iter().flatten();
             place.zip(device.port.outputs()).for_each(|(place, output)| *place = *output);
         }
-        if self.is_back() {
+        if !self.prepared && self.is_back() {
             self.finish(cycle, slots);
         }
     }
 
     fn waits(&self, cycle: &Cycle, slots: &[Slot]) -> Waits {
-        let is_out = slots.iter().any(|slot| slot.exchange.is_waited_for(cycle));
+        let is_out = !self.is_back() && slots.iter().any(|slot| slot.exchange.is_waited_for(cycle));
         Waits::for_replies(is_out.into())
     }
 

@@ -114,9 +114,12 @@ impl SegmentClock {
         (off, self.phase(off))
     }
 
+    #[inline]
     fn phase(&self, off: i64) -> i64 {
         let period = self.period_ns as i64;
-        (off + period / 2).rem_euclid(period) - period / 2
+        let ahead = off + period / 2;
+        // Usually there is no whole one.
+        if (0..period).contains(&ahead) { off } else { ahead.rem_euclid(period) - period / 2 }
     }
 
     /// The time sent at `at` to a reference that follows: the segment's time, once the reference has been adjusted

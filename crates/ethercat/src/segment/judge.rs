@@ -134,12 +134,14 @@ impl FrameState {
 }
 
 impl Segment {
-    /// Which slaves took part in the frame, and what follows.
+    /// Which slaves took part in the frame, and what follows; true: all of them, as before.
     #[inline]
-    pub(super) fn judge(&mut self, back: &Back<'_>, number: usize, handler: &mut impl Handler) {
-        if !self.is_as_before(back, number, handler) {
+    pub(super) fn judge(&mut self, back: &Back<'_>, number: usize, handler: &mut impl Handler) -> bool {
+        let is_as_before = self.is_as_before(back, number, handler);
+        if !is_as_before {
             self.judge_each(back, number, handler);
         }
+        is_as_before
     }
 
     /// The usual case: all were in operation, and still are.

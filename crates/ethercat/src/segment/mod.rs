@@ -42,8 +42,8 @@ pub trait Handler {
     /// The mailbox of a slave.
     fn service(&mut self, owner: Owner) -> Option<&mut Service>;
 
-    /// Its turn has come: its mailbox takes the requests that were posted meanwhile.
-    fn advance(&mut self, owner: Owner, now: Time);
+    /// Its turn has come: its mailbox, which takes the requests that were posted meanwhile.
+    fn advance(&mut self, owner: Owner, now: Time) -> Option<&mut Service>;
 
     /// Its replies count from now on, in this state, or not any more.
     fn state(&mut self, owner: Owner, state: SlaveState);
@@ -165,7 +165,7 @@ pub struct Sent {
 #[derive(Clone, Copy, Debug)]
 pub struct Back<'a> {
     /// As it was sent.
-    pub sent: Sent,
+    pub sent: &'a Sent,
     /// The same, with its places.
     pub frame: &'a Frame,
     /// When it was taken in.
@@ -309,10 +309,10 @@ impl Segment {
         if number == 0 {
             self.dark = 0;
         }
-        self.judge(back, number, handler);
+        let are_there = self.judge(back, number, handler);
         if number == 0 {
             let is_there = |slave: &Slave| {
-                !slave.has_al || slave.offsets.frame != 0 || slave.shown_in(back.received).0 != 0
+                are_there || !slave.has_al || slave.offsets.frame != 0 || slave.shown_in(back.received).0 != 0
             };
             let is_there = self.set_clock().is_some_and(is_there);
             if let Some(time) = back.frame.time_of(back.received).filter(|_| is_there) {

@@ -77,10 +77,15 @@ impl Segment {
     fn request_of(&mut self, index: usize, cycle: &Cycle, handler: &mut impl Handler) -> Option<Requester> {
         let slave = &self.slaves[index];
         let owner = slave.owner;
-        handler.advance(owner, cycle.grid);
+        let service = handler.advance(owner, cycle.grid);
         if slave.wants_nothing() {
             // Usually only its mailbox may have a request.
-            return self.request_of_mailbox(index, cycle, handler);
+            if slave.way.mailbox_open
+                && let Some(service) = service
+            {
+                service.request(cycle.grid, &mut self.ask);
+            }
+            return (!self.ask.is_empty()).then_some(Requester::Mailbox(index));
         }
         let slave = &mut self.slaves[index];
         let mut service = handler.service(owner);
@@ -103,17 +108,9 @@ impl Segment {
         if !self.ask.is_empty() {
             return Some(Requester::Slave(index));
         }
-        self.request_of_mailbox(index, cycle, handler)
-    }
-
-    fn request_of_mailbox(
-        &mut self,
-        index: usize,
-        cycle: &Cycle,
-        handler: &mut impl Handler,
-    ) -> Option<Requester> {
-        let slave = Some(&self.slaves[index]).filter(|slave| slave.way.mailbox_open)?;
-        handler.service(slave.owner)?.request(cycle.grid, &mut self.ask);
+        if self.slaves[index].way.mailbox_open {
+            handler.service(owner)?.request(cycle.grid, &mut self.ask);
+        }
         (!self.ask.is_empty()).then_some(Requester::Mailbox(index))
     }
 
@@ -140,18 +137,18 @@ impl Segment {
 
     /// Passes the answers of the slot to its owner.
     pub(super) fn answer(&mut self, back: &Back<'_>, handler: &mut impl Handler) {
+        let Some(requester) = self.requester.take() else { return };
         let answers = back.frame.answers_of(back.received);
-        match self.requester.take() {
-            Some(Requester::Slave(index)) => self.slave_received(back, index, &answers, handler),
-            Some(Requester::Topology) if self.topology.receive(&answers) => {
+        match requester {
+            Requester::Slave(index) => self.slave_received(back, index, &answers, handler),
+            Requester::Topology if self.topology.receive(&answers) => {
                 let delay_ns = |slave: &Slave| self.topology.delay_ns(slave.plan.place);
                 self.slaves.iter_mut().for_each(|slave| slave.delay_ns = Some(delay_ns(slave)));
             }
-            Some(Requester::Topology) => {}
-            Some(Requester::Mailbox(index)) => {
+            Requester::Topology => {}
+            Requester::Mailbox(index) => {
                 handler.mailbox_received(self.slaves[index].owner, back.sent.cycle.grid, &answers);
             }
-            None => {}
         }
     }
 
@@ -172,7 +169,7 @@ impl Segment {
             counted: back.frame.slaves_in(back.received),
             in_use: place_of(Slave::has_address).or_else(|| place_of(Slave::was_given)),
             missing: self.missing(answers),
-            ..self.context(index, &back.sent, handler)
+            ..self.context(index, back.sent, handler)
         };
         let slave = &mut self.slaves[index];
         let owner = slave.owner;

@@ -78,6 +78,8 @@ pub struct Mailbox {
     answer_ns: u64,
     /// The longest time until it has the slot again, ns.
     turn_ns: u64,
+    /// The interval of looks for unrequested messages, ns.
+    idle_ns: u64,
 }
 
 /// A request to be sent.
@@ -184,6 +186,8 @@ impl Mailbox {
             counts: Counts::default(),
             answer_ns,
             turn_ns,
+            // On a long segment that leaves slots for others.
+            idle_ns: IDLE_NS.max(2 * turn_ns),
         })
     }
 
@@ -285,7 +289,17 @@ impl Mailbox {
     }
 
     /// Its request for the next slot.
+    #[inline]
     pub(super) fn request(&mut self, now: Time, ask: &mut Ask) {
+        self.pending = None;
+        // Usually nothing is under way, and it was looked at not long ago.
+        let is_idle = (self.sending, self.reading) == (Sending::Nothing, Reading::Nothing);
+        if !is_idle || self.looked.is_none_or(|looked| now.since(looked) >= self.idle_ns) {
+            self.request_next(now, ask);
+        }
+    }
+
+    fn request_next(&mut self, now: Time, ask: &mut Ask) {
         self.recount(now);
         let pending = self.next(now);
         let is_requested = match pending {
@@ -306,8 +320,7 @@ impl Mailbox {
             (Reading::Lost, _) => return Some(Pending::Look),
             (Reading::Nothing, Sending::Due { .. }) if self.stale => return Some(Pending::Look),
             (Reading::Nothing, Sending::Due { .. }) => return Some(Pending::Write),
-            // On a long segment that leaves slots for others.
-            (Reading::Nothing, Sending::Nothing) => self.within(IDLE_NS, 2),
+            (Reading::Nothing, Sending::Nothing) => self.idle_ns,
             (Reading::Nothing, Sending::Written { .. }) | (Reading::Repeated { .. }, _) => LOOK_NS,
         };
         self.looked.is_none_or(|looked| now.since(looked) >= rest).then_some(Pending::Look)

@@ -52,7 +52,9 @@ impl Handler for Reports {
         None
     }
 
-    fn advance(&mut self, _owner: Owner, _now: Time) {}
+    fn advance(&mut self, _owner: Owner, _now: Time) -> Option<&mut Service> {
+        None
+    }
 
     fn state(&mut self, owner: Owner, state: SlaveState) {
         self.states.push((owner, state.al));
@@ -169,7 +171,8 @@ impl Rig {
                 self.held = Some((sent, received, counter));
                 continue;
             }
-            let back = Back { sent, frame, at: at + 30 * US, received: &received, counter, in_window: true };
+            let back =
+                Back { sent: &sent, frame, at: at + 30 * US, received: &received, counter, in_window: true };
             self.line.receive(&back, number, &mut self.reported);
         }
     }
@@ -177,7 +180,7 @@ impl Rig {
     fn deliver(&mut self) {
         let (sent, received, counter) = self.held.take().unwrap();
         let frame = &self.image.frames()[0];
-        let back = Back { sent, frame, at: sent.at, received: &received, counter, in_window: false };
+        let back = Back { sent: &sent, frame, at: sent.at, received: &received, counter, in_window: false };
         self.line.receive(&back, 0, &mut self.reported);
     }
 
