@@ -13,7 +13,9 @@ use super::wire::io::{Outgoing, Packet, PacketError};
 use fieldbeat_core::axis::acyclic;
 use fieldbeat_core::axis::doorbell::Bells;
 use fieldbeat_core::bus::native::Inputs;
-use fieldbeat_core::bus::{Bus, BusNumbers, Cycle, Ends, Notes, OpenError, Opened, Slot, Unmatched, drives};
+use fieldbeat_core::bus::{
+    Bus, BusNumbers, Cycle, Ends, Notes, OpenError, Opened, Slot, Unmatched, Waits, drives,
+};
 use fieldbeat_core::net::{
     self, Carriers, Datagrams, LinkNotes, Lock, Outbox, Received, Sent, StreamPeer, Streams, UdpOptions,
 };
@@ -247,6 +249,11 @@ impl Bus for EthernetIpBus {
 
     fn receive(&mut self, _cycle: &Cycle, slots: &mut [Slot]) {
         self.take_in(slots);
+    }
+
+    /// For no reply.
+    fn waits(&self, _cycle: &Cycle, _slots: &[Slot]) -> Waits {
+        Waits::for_replies(0)
     }
 
     fn prepare(&mut self, cycle: &Cycle, slots: &mut [Slot]) {
