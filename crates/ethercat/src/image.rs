@@ -344,10 +344,14 @@ impl Frame {
     }
 
     /// Puts the request into the slot, replacing the previous one.
+    #[inline]
     pub fn request(&mut self, ask: &Ask) {
-        if ask.is_empty() && self.slot[0].is_none() {
-            return;
+        if !ask.is_empty() || self.slot[0].is_some() {
+            self.replace_request(ask);
         }
+    }
+
+    fn replace_request(&mut self, ask: &Ask) {
         (self.slot, self.count) = ([None; super::slot::DATAGRAMS], self.fixed);
         self.end = self.states.map_or(self.end, Place::end);
         let Some(mut builder) = Builder::resume(&mut *self.bytes, self.stem) else { return };
@@ -364,9 +368,8 @@ impl Frame {
     /// Makes it the frame with this number of this master.
     pub fn number(&mut self, mark: Mark) {
         self.bytes[self.mark.data()].copy_from_slice(&mark.bytes());
-        for header in self.headers.iter().take(self.count) {
-            let place = Place { at: usize::from(*header), length: 0 };
-            set_index(&mut *self.bytes, place, mark.number as u8);
+        for at in &self.headers[..self.count] {
+            set_index(&mut *self.bytes, Place { at: usize::from(*at), length: 0 }, mark.number as u8);
         }
     }
 

@@ -16,6 +16,8 @@ use fieldbeat_core::time::Time;
 pub(super) const KNOWN: usize = 256;
 /// The most frames taken in at once beyond those that are due.
 const MORE_AT_ONCE: usize = 4;
+/// So many cycles in a row without a returned frame are reported as a fault of the wire.
+const SILENT: u8 = 100;
 
 /// A frame that was sent.
 #[derive(Clone, Copy, Debug, Default)]
@@ -50,6 +52,24 @@ impl EthercatBus {
     /// All frames that were sent last were sent, and are back.
     pub(super) fn is_back(&self) -> bool {
         self.flights.iter().all(|flight| flight.back)
+    }
+
+    /// The frames that are not back by now do not count any more.
+    pub(super) fn lose(&mut self, cycle: &Cycle, slots: &mut [Slot]) {
+        for number in 0..self.flights.len() {
+            if !self.flights[number].back {
+                let (drives, devices) = (&mut self.drives[..], &mut self.devices[..]);
+                self.segment.lost(cycle.grid, number == 0, &mut Endpoints { drives, devices, slots });
+                self.prepared &= number != 0;
+            }
+        }
+        if !self.flights.iter().any(|flight| flight.back) {
+            self.silent = self.silent.saturating_add(1);
+            if self.silent >= SILENT {
+                let is_other = self.other.is_there(cycle.grid);
+                self.wire.set(0, if is_other { WireNote::OtherMaster } else { WireNote::NothingBack });
+            }
+        }
     }
 
     /// One frame.

@@ -16,7 +16,7 @@ mod plan;
 use std::os::fd::RawFd;
 use std::sync::Arc;
 
-use self::endpoints::{DeviceEnd, DriveEnd, Endpoints, Outgoing};
+use self::endpoints::{DeviceEnd, DriveEnd, Outgoing};
 use self::frames::{Flight, KNOWN, Known};
 use self::notes::{SlaveNotes, WireNote};
 use self::plan::open;
@@ -48,8 +48,6 @@ const LOGICAL_EACH: u32 = 0x8_0000;
 const LOGICAL_COUNT: u64 = 0x1800;
 /// Calls for the objects of a device that may wait.
 const DEVICE_CALLS: usize = 64;
-/// So many cycles in a row without a returned frame are reported as a fault of the wire.
-const SILENT: u8 = 100;
 
 /// A segment of drives and devices.
 struct EthercatBus {
@@ -213,20 +211,7 @@ impl Bus for EthercatBus {
         self.segment.clock.pass();
         if !self.is_back() {
             self.take_in(false, slots);
-        }
-        for number in 0..self.flights.len() {
-            if !self.flights[number].back {
-                let (drives, devices) = (&mut self.drives[..], &mut self.devices[..]);
-                self.segment.lost(cycle.grid, number == 0, &mut Endpoints { drives, devices, slots });
-                self.prepared &= number != 0;
-            }
-        }
-        if !self.flights.iter().any(|flight| flight.back) {
-            self.silent = self.silent.saturating_add(1);
-            if self.silent >= SILENT {
-                let is_other = self.other.is_there(cycle.grid);
-                self.wire.set(0, if is_other { WireNote::OtherMaster } else { WireNote::NothingBack });
-            }
+            self.lose(cycle, slots);
         }
         if !self.prepared {
             self.finish(cycle, slots);
