@@ -125,14 +125,14 @@ struct State {
     native_taken: u32,
 }
 
-/// The profile of one drive. What each exchange touches comes first.
+/// The profile of one drive. What each exchange touches is the end of the state and what follows it.
 #[derive(Debug)]
 #[repr(C)]
 pub(super) struct Profile {
+    state: Prepared<State>,
     /// The control word of the prepared request, which has no other block; no row follows it, and no native output.
     control: Option<ControlWord>,
     only_control: bool,
-    state: Prepared<State>,
     voltage: Voltage,
     rules: Rules,
     /// For the last resort.

@@ -10,10 +10,12 @@
 /// A telegram has two revisions: that of what is desired, and that of this state. As long as both are the same, the
 /// telegram that was built last holds, but for what is patched in place: setpoint, stamp and count.
 ///
-/// Whether it holds is all that a usual cycle asks: that stands first, on one cache line.
+/// Whether it holds is all that a usual cycle asks: that stands last, on one cache line with what follows in a profile.
 #[derive(Clone, Debug)]
 #[repr(C)]
 pub struct Prepared<T> {
+    left: T,
+    proposed: T,
     /// Advances with each change of the state.
     revision: u64,
     /// The revisions that the telegram was built for, or [`NONE`].
@@ -22,8 +24,6 @@ pub struct Prepared<T> {
     is_proposed: bool,
     /// The state has changed since it was built.
     is_void: bool,
-    left: T,
-    proposed: T,
 }
 
 /// No telegram is built: no revision comes to this.

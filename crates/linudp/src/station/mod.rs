@@ -44,8 +44,8 @@ use fieldbeat_core::time::Time;
 /// factory-fresh drives do not answer a telegram without any block (sheet, 1.3).
 const FULL_PROBE_EVERY: u8 = 4;
 
-/// One drive. What each exchange touches comes first, and so it does in the identity and in the profile: it lies on a
-/// few lines of the cache.
+/// One drive. What each exchange touches comes first, and so it does in the identity: it lies on a few lines of the
+/// cache.
 #[derive(Debug)]
 #[repr(C, align(64))]
 pub struct Station {

@@ -27,8 +27,8 @@ impl DriveController {
         }
     }
 
-    /// Watches an axis that has power, and runs one cycle of its stop sequence. An axis in operation that the loop leads,
-    /// or nothing, has a way of its own: it saves 68 instructions a drive and cycle.
+    /// Watches an axis that has power, and runs one cycle of its stop sequence. An axis in operation that the loop
+    /// leads, or nothing, has a way of its own: it saves 68 instructions a drive and cycle.
     #[inline]
     pub(super) fn watch(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) {
         let restarted = slot.notices.fresh && std::mem::take(&mut slot.notices.restarted);
