@@ -21,7 +21,7 @@
 //! | posted commands | the application | `drive::controller::Queues::posted` |
 //! | rows | the application | `drive::controller::Queues::rows` |
 //! | setpoints | the application | `drive::controller::setpoints::take_setpoints` |
-//! | bells | the application | `axis::doorbell::Bells::take` |
+//! | bells | the application; the sessions of the link thread | `axis::doorbell::Bells::take` |
 //! | the application's sign of life | the application | `cycle::heartbeat::Heartbeat::is_silent` |
 //! | the request to end | the application, a signal | `cycle::engine::Channels::requested` |
 //! | calls of the in-loop task, and its panic | the application's code on the loop | `cycle::task::Axes` |
