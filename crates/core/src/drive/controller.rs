@@ -400,7 +400,9 @@ impl DriveController {
                 self.leave(&queued);
             }
         }
-        self.emit(cycle, now, EventKind::Ended { id: queued.id, command: queued.command.name(), outcome });
+        let kind = EventKind::Ended { id: queued.id, command: queued.command.name(), outcome };
+        let record = EventRecord::ended(cycle.index, queued.id, queued.command.code(), outcome);
+        self.emit_as(cycle, now, kind, record);
     }
 
     /// The running command ends before it is done: the other members of its group must not go on without it.
@@ -416,10 +418,15 @@ impl DriveController {
         self.measured.noted = true;
     }
 
-    #[inline(never)]
     fn emit(&mut self, cycle: &Cycle, now: Time, kind: EventKind) {
+        self.emit_as(cycle, now, kind, EventRecord::new(cycle.index, 0, kind, None));
+    }
+
+    /// The same, with its record but for who has begun it.
+    #[inline(never)]
+    fn emit_as(&mut self, cycle: &Cycle, now: Time, kind: EventKind, record: EventRecord) {
         let begun_by = self.feedback.begun_by.filter(|_| kind.is_of_stop_group());
-        self.queues.journal.note(Note::Event(EventRecord::new(cycle.index, 0, kind, begun_by)));
+        self.queues.journal.note(Note::Event(record.begun(begun_by)));
         self.measured.noted = true;
         // Every accepted command ends exactly once: the place for that is kept from all else.
         let kept = if matches!(kind, EventKind::Ended { .. }) { 0 } else { self.queues.room_for_ends };

@@ -110,7 +110,7 @@ impl Inputs {
 
     /// The assembly of a drive of the second version.
     #[inline(always)] // What is not needed of it is not decoded.
-    pub fn second_version(data: &[u8], layout: Layout) -> Option<Inputs> {
+    pub(crate) fn second_version(data: &[u8], layout: Layout) -> Option<Inputs> {
         let (elements, []) = data.as_chunks() else { return None };
         let elements: &[[u8; 4]; ELEMENTS] = elements.try_into().ok()?;
         let element = |place: usize| u32::from_le_bytes(elements[place]);

@@ -71,12 +71,21 @@ pub struct EventRecord {
 impl EventRecord {
     /// Of an event in slot `index`.
     pub fn new(index: u64, axis: u16, kind: EventKind, begun_by: Option<BegunBy>) -> EventRecord {
-        let mut record = EventRecord { index, axis, ..EventRecord::of(kind) };
-        if let Some(BegunBy { axis, cause }) = begun_by {
+        EventRecord { index, axis, ..EventRecord::of(kind) }.begun(begun_by)
+    }
+
+    /// Of the end of a command with this [`code`](Command::code), in slot `index`.
+    pub(crate) fn ended(index: u64, id: CommandId, code: u8, outcome: Outcome) -> EventRecord {
+        EventRecord { index, id: id.0, code, ..EventRecord::of_outcome(outcome) }
+    }
+
+    /// The same, if another axis has begun it.
+    pub(crate) fn begun(mut self, by: Option<BegunBy>) -> EventRecord {
+        if let Some(BegunBy { axis, cause }) = by {
             // Above the number of its own cause.
-            record.number |= u32::from(axis) << 16 | (cause as u32) << 8;
+            self.number |= u32::from(axis) << 16 | (cause as u32) << 8;
         }
-        record
+        self
     }
 
     /// The axis that began the stop, if it is one of a stop group.
@@ -91,7 +100,7 @@ impl EventRecord {
         match kind {
             EventKind::Ended { id, command, outcome } => {
                 let code = Command::NAMES.iter().position(|name| *name == command).unwrap_or(0) as u8;
-                EventRecord { id: id.0, code, ..EventRecord::of_outcome(outcome) }
+                EventRecord::ended(0, id, code, outcome)
             }
             EventKind::Link(link) => number(What::Link, link as u32),
             EventKind::State(state) => number(What::State, state as u32),
