@@ -216,7 +216,9 @@ impl SessionEnd {
     /// Tells the loop; false if there is no room: again later.
     pub fn tell(&mut self, news: News) -> bool {
         let is_told = self.news.push(news).is_ok();
-        self.bell.ring();
+        if is_told {
+            self.bell.ring();
+        }
         is_told
     }
 

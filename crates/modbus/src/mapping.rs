@@ -32,6 +32,8 @@ pub enum Role {
 /// How many roles have an index in an [`Image`]: all but the additional ones.
 pub const ROLES: usize = Role::FIRST_SHOWN + MONITOR_CHANNELS;
 
+const _: () = assert!(ROLES <= u16::BITS as usize, "each role has a bit in Places");
+
 /// The most additional parameters.
 pub const ALSO_MAX: usize = REGISTERS_MAX as usize;
 

@@ -280,7 +280,7 @@ impl Station {
         may_be_acyclic: bool,
         out: &mut [u8; MAX],
     ) -> Option<(usize, Expected)> {
-        // What the application writes natively was taken with the preparation.
+        // What the application writes natively was taken with the preparation, once native mode has left.
         if !self.is_native || self.profile.is_void() {
             self.build(slot);
         }

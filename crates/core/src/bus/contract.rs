@@ -84,9 +84,10 @@ pub trait Bus: Send {
     fn poll(&mut self, _cycle: &Cycle, _now: Time, _slots: &mut [Slot]) {}
 
     /// Builds the requests of the slots that are due at the next send, and of those that are queued, in place, from
-    /// what is now desired in them. May be called more than once for the same send, with the same bytes as the result,
-    /// and again for a later slot if the first was passed over. What was replaced before its request left is never
-    /// carried out.
+    /// what is now desired in them; called before each [`send`](Bus::send). What is desired stays the same until then,
+    /// and of a slot that is queued until the next call: a request may also be built in its turn. May be called more
+    /// than once for the same send, with the same bytes as the result, and again for a later slot if the first was
+    /// passed over. What was replaced before its request left is never carried out.
     fn prepare(&mut self, cycle: &Cycle, slots: &mut [Slot]);
 
     /// Starts or continues the orderly end; true once nothing more has to be sent. Called after the window of a

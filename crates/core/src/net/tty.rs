@@ -182,17 +182,19 @@ impl Drop for Descriptor {
     }
 }
 
-/// Reads what was received. Directly, as [`write`]: a call of libc can be cancelled, which takes some 40 instructions
+/// Reads what was received. Directly, as [`write()`]: a call of libc can be cancelled, which takes some 40 instructions
 /// more in a process of several threads.
-pub fn read(port: &impl AsRawFd, room: &mut [u8]) -> nix::Result<usize> {
-    // SAFETY: the kernel writes the bytes of a live slice.
+pub fn read(port: impl AsFd, room: &mut [u8]) -> nix::Result<usize> {
+    let port = port.as_fd();
+    // SAFETY: the descriptor is borrowed, and the kernel writes the bytes of a live slice.
     let count = unsafe { libc::syscall(libc::SYS_read, port.as_raw_fd(), room.as_mut_ptr(), room.len()) };
     Errno::result(count).map(|count| count as usize)
 }
 
 /// Writes the front of `bytes`.
-pub fn write(port: &impl AsRawFd, bytes: &[u8]) -> nix::Result<usize> {
-    // SAFETY: the kernel reads the bytes of a live slice.
+pub fn write(port: impl AsFd, bytes: &[u8]) -> nix::Result<usize> {
+    let port = port.as_fd();
+    // SAFETY: the descriptor is borrowed, and the kernel reads the bytes of a live slice.
     let count = unsafe { libc::syscall(libc::SYS_write, port.as_raw_fd(), bytes.as_ptr(), bytes.len()) };
     Errno::result(count).map(|count| count as usize)
 }

@@ -58,7 +58,7 @@ pub struct Station {
     /// The slot of the grid that the prepared request is for.
     grid: Time,
     connected: bool,
-    /// An exchange was owed as the next request was prepared: none is due.
+    /// An exchange was owed as the next request was prepared, or has left since: none is due.
     pub(super) passed: bool,
     /// The control word sent last, on whatever connection.
     control_sent: Option<ControlWord>,

@@ -64,12 +64,12 @@ fn place(width: Width, at: usize) -> u8 {
 impl Write {
     fn new(block: &Block) -> Option<Write> {
         let [high, low] = block.address.to_be_bytes();
-        let [_, registers] = block.registers.to_be_bytes();
+        let registers = u8::try_from(block.registers).ok()?;
         let [control, reference] = [Role::Control, Role::Reference].map(|role| {
             let index = block.roles.iter().position(|other| *other == role);
             index.map_or(0, |index| place(block.width, index * block.width.bytes()))
         });
-        let word = [high, low, 0, registers, 2 * registers, control, reference, 0];
+        let word = [high, low, 0, registers, registers.checked_mul(2)?, control, reference, 0];
         NonZeroU64::new(u64::from_le_bytes(word)).map(Write)
     }
 
@@ -116,14 +116,14 @@ impl Read {
     fn new(blocks: &[Block], index: usize) -> Option<Read> {
         let block = blocks.get(index)?;
         let [high, low] = block.address.to_be_bytes();
-        let [_, registers] = block.registers.to_be_bytes();
+        let registers = u8::try_from(block.registers).ok()?;
         let values = match (&*block.roles, block.in_order) {
             (_, true) => FRONT,
             ([role], _) => role.index().map_or(SORTED, |at| place(block.width, at)),
             _ => SORTED,
         };
         let [first, last] = block.places.0.to_le_bytes();
-        let word = [high, low, 0, registers, first, last, values, index as u8];
+        let word = [high, low, 0, registers, first, last, values, u8::try_from(index).ok()?];
         NonZeroU64::new(u64::from_le_bytes(word)).map(Read)
     }
 
