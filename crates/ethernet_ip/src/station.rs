@@ -35,7 +35,7 @@ const CLOSE_WITHIN_NS: u64 = fieldbeat_core::time::S;
 /// The number of a packet may be so far ahead of the last one, whatever time has passed.
 const LEAP: i32 = 3;
 
-/// One drive. What an exchange touches in any case is dense: from the end of `profile` to the begin of `native`.
+/// One drive. What every exchange touches lies together: from the end of `profile` to the start of `native`.
 #[derive(Debug)]
 #[repr(C, align(64))]
 pub struct Station {

@@ -124,7 +124,7 @@ struct Timing {
 
 /// The link layer.
 #[derive(Debug)]
-#[repr(C)] // What each telegram touches in any case comes first.
+#[repr(C)] // What every telegram touches comes first.
 pub(super) struct Line {
     timing: Timing,
     job: Job,

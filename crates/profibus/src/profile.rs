@@ -162,10 +162,11 @@ impl Profile {
         }
     }
 
-    /// Builds what is desired with the next telegram, anew if the application may write some of it.
+    /// Builds what is desired with the next telegram; `rebuilds`: whatever the last one was, since the application may
+    /// write some of it.
     #[inline]
-    pub(super) fn encode(&mut self, desired: &Desired, native: &mut NativePort, anew: bool) -> Change {
-        let change = if anew || !self.state.holds(desired.revision()) {
+    pub(super) fn encode(&mut self, desired: &Desired, native: &mut NativePort, rebuilds: bool) -> Change {
+        let change = if rebuilds || !self.state.holds(desired.revision()) {
             self.build(desired, native);
             Change::Outputs
         } else if desired.setpoint.velocity == self.velocity {

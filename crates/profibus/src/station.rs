@@ -232,7 +232,7 @@ impl Station {
         }
     }
 
-    /// All outputs anew: what the application wrote in native modes before this one, the control word and the set
+    /// Rebuilds all outputs: what the application wrote in native modes before this one, the control word and the set
     /// point, and what it writes in this one.
     #[inline(never)]
     fn put_outputs(&mut self) {

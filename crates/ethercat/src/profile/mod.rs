@@ -143,7 +143,7 @@ impl State {
 
 /// The profile of one drive.
 #[derive(Debug)]
-#[repr(C)] // What an exchange touches in any case is dense: from the end of `state` to the begin of `native`.
+#[repr(C)] // What every exchange touches lies together: from the end of `state` to the start of `native`.
 pub struct Profile {
     /// Bits that the mode of the setpoint needs while the drive is in operation.
     mode_bits: u16,
@@ -163,11 +163,11 @@ pub struct Profile {
     wanted_row: u64,
     /// The exchanges that were answered.
     answers: u64,
-    /// Of the prepared exchange: the setpoint, and the control word. It is built anew each time: the application writes
-    /// some outputs, or a target follows the actual position.
+    /// Of the prepared exchange: the setpoint, and the control word.
     setpoint: i32,
     control: ControlWord,
     quantity: Quantity,
+    /// Each exchange is rebuilt: the application writes some outputs, or a target follows the actual position.
     builds_each: bool,
     /// Raw setpoint of one user unit, of one user unit/s, or of one per cent of the rated torque; negative if the
     /// axis is inverted. `origin`: the position that is 0 there.

@@ -63,7 +63,7 @@ struct Faults {
 
 /// One drive as the master sees it.
 #[derive(Debug)]
-#[repr(C, align(64))] // What an exchange touches in any case is dense: in `profile`, and behind it up to `units`.
+#[repr(C, align(64))] // What every exchange touches lies together: in `profile`, and behind it up to `units`.
 pub struct Station {
     faults: Faults,
     pub(super) requests: Requests,

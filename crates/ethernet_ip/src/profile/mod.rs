@@ -144,7 +144,7 @@ struct State {
 
 /// The profile of one drive.
 #[derive(Debug)]
-#[repr(C)] // What an exchange touches in any case comes last: more of that follows in the station.
+#[repr(C)] // What every exchange touches comes last: more of that follows in the station.
 pub(super) struct Profile {
     facts: Facts,
     rules: Rules,
