@@ -131,9 +131,7 @@ pub fn assemble<C: Clock>(
                 setpoints: setpoint_out,
                 events: event_in,
                 room_for_ends: room_for_ends(axis),
-                feedback: writer,
                 samples: sample_in,
-                lost: 0,
                 log: log.source(),
                 journal: Journal::new(room_for_ends(axis), &mut regions),
             };
@@ -144,6 +142,7 @@ pub fn assemble<C: Clock>(
             let controller = DriveController::new(
                 axis.clone(),
                 drive.capabilities,
+                writer,
                 queues,
                 period_ns,
                 first_probe,

@@ -98,7 +98,8 @@ impl Commanded {
     /// The reports of a cycle, which are cleared as the loop does.
     pub fn observe(&mut self, now: Time, slot: &mut Slot) {
         self.machine.observe(now, slot.notices.restarted, slot);
-        (slot.notices.fresh, slot.notices.restarted, slot.notices.emergency) = (false, false, None);
+        (slot.notices.fresh, slot.notices.restarted) = (false, false);
+        slot.notices.take_emergency();
         self.check_end();
     }
 

@@ -33,7 +33,9 @@ impl Around<'_> {
     /// The same, unless a new connection has found the drive restarted.
     fn keeps_the_report_but(&self, can: &Can) {
         let restarted = self.before.notices.restarted || can.stream && self.after.notices.restarted;
-        kept(Notices { restarted, ..self.before.notices }, self.before, self.after);
+        let mut notices = self.before.notices;
+        notices.restarted = restarted;
+        kept(notices, self.before, self.after);
     }
 
     /// Counts only grow, and `missed` is the loop's.

@@ -4,6 +4,7 @@
 //! bytes.
 
 use std::fmt::Debug;
+use std::mem::offset_of;
 use std::os::fd::RawFd;
 use std::sync::Arc;
 
@@ -235,8 +236,11 @@ impl Cycle {
 
 /// One drive between the loop and its bus.
 ///
-/// What each cycle touches stands first, in as few cache lines as possible. The loop writes `due`, `guarded`, `link`,
-/// `anew` and `desired`, the bus the rest. A report that does not count is replaced by the one before.
+/// The loop writes `due`, `guarded`, `link`, `anew` and `desired`, the bus the rest. A report that does not count is
+/// replaced by the one before.
+///
+/// What each cycle touches lies on four cache lines: the exchange with its counts; a report with its notice; what it
+/// proves; what is desired.
 #[derive(Clone, Debug, Default)]
 #[repr(C, align(64))]
 pub struct Slot {
@@ -266,6 +270,8 @@ pub struct Slot {
     pub anew: bool,
     /// There is something in `earlier`. The bus sets it, the loop clears it.
     pub has_earlier: bool,
+    /// Exact counts of its exchanges.
+    pub counters: Counters,
     /// What else is new of the drive.
     pub notices: Notices,
     /// What the drive reported last.
@@ -274,11 +280,15 @@ pub struct Slot {
     pub evidence: Evidence,
     /// What the drive shall do from its next request on.
     pub desired: Desired,
-    /// Exact counts of its exchanges.
-    pub counters: Counters,
     /// Its exchanges of earlier cycles, where the next request does not wait for a reply.
     pub earlier: Earlier,
 }
+
+// What lies together begins with a cache line, or ends with one.
+const _: () = {
+    assert!(offset_of!(Slot, counters) + 2 * size_of::<u64>() == 64);
+    assert!((offset_of!(Slot, status) + offset_of!(DriveStatus, monitor)) % 64 == 0);
+};
 
 impl Slot {
     /// Opens the exchange of a request that was sent.
@@ -480,10 +490,13 @@ impl Exchange {
     }
 }
 
-/// What a bus reports of a drive in addition to its status. The loop clears each of them when it has taken it.
+/// What a bus reports of a drive in addition to its status. The loop clears each of them when it has taken it. What
+/// comes with most reports stands last, next to the status.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[repr(C)]
 pub struct Notices {
+    monitor_refused: Option<(u8, u32)>,
+    emergency: Option<Emergency>,
     /// The status is new. It comes with an answered exchange, and of a drive with its own clock with each accepted
     /// packet.
     pub fresh: bool,
@@ -497,11 +510,50 @@ pub struct Notices {
     pub other_master: bool,
     /// The monitored variables of the status came with the newest reply: not every reply carries them.
     pub monitor_fresh: bool,
-    /// The drive reported an emergency, with or without a fresh status. The loop takes one in each cycle; the next
-    /// one waits until then.
-    pub emergency: Option<Emergency>,
+    /// There is one of the first two.
+    has_more: bool,
+}
+
+impl Notices {
+    /// There is a fresh status, and nothing else.
+    #[inline]
+    pub fn is_fresh_only(&self) -> bool {
+        let Notices { restarted, other_master, monitor_fresh, has_more, .. } = *self;
+        self.fresh && !(restarted | other_master | monitor_fresh | has_more)
+    }
+
+    /// There is an emergency, or a refused variable.
+    #[inline]
+    pub fn has_more(&self) -> bool {
+        self.has_more
+    }
+
+    /// The loop has not taken the last emergency yet: it takes one in each cycle, and the next one waits until then.
+    pub fn has_emergency(&self) -> bool {
+        self.emergency.is_some()
+    }
+
+    /// The drive reported an emergency, with or without a fresh status.
+    pub fn report(&mut self, emergency: Emergency) {
+        (self.emergency, self.has_more) = (Some(emergency), true);
+    }
+
     /// The drive refused to report a variable: its channel, and the drive's status.
-    pub monitor_refused: Option<(u8, u32)>,
+    pub fn refuse_monitor(&mut self, channel: u8, status: u32) {
+        (self.monitor_refused, self.has_more) = (Some((channel, status)), true);
+    }
+
+    /// The emergency; once.
+    pub fn take_emergency(&mut self) -> Option<Emergency> {
+        self.has_more = self.monitor_refused.is_some();
+        self.emergency.take()
+    }
+
+    /// The refused variable; once.
+    pub fn take_refused(&mut self) -> Option<(u8, u32)> {
+        self.has_more = self.emergency.is_some();
+        self.monitor_refused.take()
+    }
 }
 
 #[cfg(test)]

@@ -9,9 +9,9 @@ use crate::time::Time;
 
 /// What a drive shall do from its next request on. It holds until it is replaced.
 ///
-/// Its serials stand together: most cycles read no more of it.
+/// Its serials are on one cache line: most cycles read no more of it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-#[repr(C)]
+#[repr(C, align(64))]
 pub struct Desired {
     /// Its power.
     pub power: Intent<Power>,
@@ -141,10 +141,10 @@ pub struct Gone {
     pub grid: Option<Time>,
 }
 
-/// What shows that a drive has its desired state, written by the bus with each report. What changes with most of them
-/// stands first.
+/// What shows that a drive has its desired state, written by the bus with each report. What is written or read with
+/// most of them is its first cache line.
 #[derive(Clone, Copy, Debug, PartialEq)]
-#[repr(C)]
+#[repr(C, align(64))]
 pub struct Evidence {
     /// What is written reaches the drive and counts there.
     pub outputs_count: bool,
@@ -160,8 +160,6 @@ pub struct Evidence {
     pub homing: Homing,
     /// Whether it has its reference; `None`: not known since that may have changed.
     pub reference: Option<Reference>,
-    /// It has refused the newest motion.
-    pub refused: Option<Refused>,
     /// The actual position, not folded into one turn.
     pub position: f64,
     /// The demand position, not folded into one turn.
@@ -170,6 +168,8 @@ pub struct Evidence {
     pub demand_velocity: f64,
     /// The newest serials that the drive has accepted, as far as its wire can prove.
     pub accepted: Accepted,
+    /// It has refused the newest motion.
+    pub refused: Option<Refused>,
     /// It follows what is written.
     pub follows: Follows,
     /// What is known of its fault.

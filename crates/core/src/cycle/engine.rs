@@ -131,7 +131,9 @@ pub struct Engine<C> {
     plan: CyclePlan,
     deadline_ns: u64,
     late_ns: u64,
-    numbers_every: u64,
+    numbers_every: usize,
+    /// Whose turn it was last.
+    numbers_turn: usize,
     longest_end_ns: u64,
     grid: Grid,
     reference: Option<Reference>,
@@ -257,7 +259,8 @@ impl<C: Clock> Engine<C> {
             longest_end_ns: stops.saturating_mul(4).saturating_add(END_MARGIN_NS),
             deadline_ns: plan.deadline_ns(),
             late_ns: plan.late_ns(),
-            numbers_every: (NUMBERS_EVERY_NS / plan.period_ns.max(1)).clamp(1, NUMBERS_EVERY),
+            numbers_every: (NUMBERS_EVERY_NS / plan.period_ns.max(1)).clamp(1, NUMBERS_EVERY) as usize,
+            numbers_turn: 0,
             grid: Grid::new(Time(0), plan.period_ns),
             guard: match plan.guard {
                 Guard::Off => GuardTuner::fixed(0),

@@ -20,6 +20,7 @@ pub use self::setpoints::{Counts, take_rows};
 pub use super::health::Probes;
 
 use std::collections::VecDeque;
+use std::mem::offset_of;
 
 use rtrb::Producer;
 
@@ -29,7 +30,7 @@ use super::at_end::Requested;
 use super::health::LinkHealth;
 use super::journal::{Journal, Note};
 use super::machine::Machine;
-use super::numbers::{DriveNumbers, Extent, Peaks};
+use super::numbers::{DriveNumbers, Extent, Largest};
 use super::record::{CommandRecord, CommandStep, DriveRecord, EventRecord, Measured, MonitorRecord, Reply};
 use super::watch::{Phase, Watch};
 use crate::axis::cell::Writer;
@@ -44,16 +45,11 @@ use crate::inputs::{Inlet, InputLog};
 use crate::rt::Regions;
 use crate::time::Time;
 
-/// The ends of the queues that the loop holds for one axis. The first ones are used in each cycle.
+/// The ends of the queues that the loop holds for one axis.
 #[derive(Debug)]
-#[repr(C, align(64))]
 pub struct Queues {
-    /// The newest feedback.
-    pub feedback: Writer<Feedback>,
     /// Every cycle's feedback, where the plan requests it.
     pub samples: Option<Producer<Feedback>>,
-    /// Events and samples for which there was no room.
-    pub lost: u64,
     /// Commands that the application has posted, to the axis or to the group that it leads.
     pub posted: Inlet<QueuedCommand>,
     /// Commands to the axis, taken out of its own queue and out of those of its groups.
@@ -74,8 +70,9 @@ pub struct Queues {
 
 /// What the loop keeps of one axis.
 ///
-/// What each cycle touches stands first, in as few cache lines as possible: the plan with its names, most queues and
-/// what a command needs lie behind it. The first line, with the head of the duty, is that of all stages.
+/// What each cycle touches lies on as few cache lines as possible: one that all stages look at, with the head of the
+/// duty; one of the link and of the largest times, with the head of the health; the end of the watch and the feedback up
+/// to its status; the begin of the machine. The rest lies between and behind them.
 #[derive(Debug)]
 #[repr(C, align(64))]
 pub struct DriveController {
@@ -95,39 +92,46 @@ pub struct DriveController {
     row_waits: bool,
     /// The monitored variables of this cycle are there.
     shows: bool,
+    /// The monitored variables that the feedback has, a bit each.
+    shown: u8,
+    /// Each feedback goes into a queue, too: the plan requests it.
+    has_samples: bool,
     /// What this cycle has measured, for the telemetry.
     measured: Measured,
-    /// How long after its grid point the previous request left.
-    phase_ns: Option<u64>,
+    /// How long after its grid point the previous request left; [`NEVER`](Self::NEVER): none has left.
+    phase_ns: u64,
+    /// The newest feedback.
+    outlet: Writer<Feedback>,
     duty: Duty,
-    health: LinkHealth,
     /// The largest times.
-    peaks: Peaks,
-    feedback: Feedback,
+    largest: Largest,
     /// The slot of the grid that was evaluated last.
     grid: Time,
-    watch: Watch,
+    /// The slot in which the velocity or torque of the running command came.
+    level_at: u64,
+    health: LinkHealth,
     /// From one row to the next, s.
     row_seconds: f64,
+    /// When the running command began.
+    began: Time,
+    /// The number of the newest setpoint of the application.
+    numbered: u64,
+    /// The id of the next command of the application.
+    next_id: u64,
+    watch: Watch,
+    feedback: Feedback,
     machine: Machine,
     queues: Queues,
     plan: AxisPlan,
-    /// When the running command began.
-    began: Time,
     /// A command of the in-loop task, to be taken before the queue.
     task_command: Option<QueuedCommand>,
     /// A row of the in-loop task, to be taken before the stream.
     task_row: Option<Row>,
     /// The group command at the head of the queue that could begin.
     waiting: Option<QueuedCommand>,
-    /// The id of the next command of the application.
-    next_id: u64,
     follow: Follow,
-    /// The slot in which the velocity or torque of the running command came, and the newest one for a command to come.
-    level_at: u64,
+    /// The newest velocity or torque for a command to come.
     ahead: Setpoint,
-    /// The number of the newest setpoint of the application.
-    numbered: u64,
     /// The group call whose command ended here before it was done.
     left: Option<GroupCall>,
     /// A call of the application that commands the drive is under way.
@@ -138,14 +142,27 @@ pub struct DriveController {
     held: Option<(CommandId, Time)>,
     /// Times that the link was lost.
     losses: u64,
+    /// Events and samples for which there was no room, since the loop last took their number.
+    lost: u64,
     ending: Ending,
     /// What was requested of the drive since its axis was stopped.
     requested: Requested,
     /// So many exchanges were missed in this cycle, where some were of earlier ones.
     misses: u32,
+    /// The slots of the largest times.
+    largest_in: Largest,
     /// The monitored variables since the start.
     monitor: [Option<Extent>; MONITOR_CHANNELS],
 }
+
+// What lies together begins with a cache line, or ends with one.
+const _: () = {
+    assert!((offset_of!(DriveController, duty) + Duty::USUAL) % 64 == 0);
+    assert!(offset_of!(DriveController, largest) % 64 == 0);
+    assert!((offset_of!(DriveController, health) + LinkHealth::USUAL) % 64 == 0);
+    assert!((offset_of!(DriveController, watch) + Watch::USUAL) % 64 == 0);
+    assert!((offset_of!(DriveController, feedback) + offset_of!(Feedback, status)) % 64 == 0);
+};
 
 /// Who stops with an axis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -183,10 +200,14 @@ enum Ending {
 }
 
 impl DriveController {
+    /// No time.
+    const NEVER: u64 = u64::MAX;
+
     /// A controller for the axis of `plan`.
     pub fn new(
         plan: AxisPlan,
         can: Capabilities,
+        outlet: Writer<Feedback>,
         queues: Queues,
         period_ns: u64,
         first_probe: u64,
@@ -207,42 +228,47 @@ impl DriveController {
             rising: 0,
             row_waits: false,
             shows: false,
+            shown: 0,
+            has_samples: queues.samples.is_some(),
             measured: Measured::default(),
-            phase_ns: None,
+            phase_ns: DriveController::NEVER,
+            outlet,
             duty: Duty::default(),
-            health,
-            peaks: Peaks::default(),
-            feedback: Feedback::default(),
+            largest: Largest::default(),
             grid: Time(0),
-            watch,
+            level_at: 0,
+            health,
             row_seconds,
+            began: Time(0),
+            numbered: 0,
+            next_id: 1,
+            watch,
+            feedback: Feedback::default(),
             machine,
             queues,
             plan,
-            began: Time(0),
             task_command: None,
             task_row: None,
             waiting: None,
-            next_id: 1,
             follow: Follow::default(),
-            level_at: 0,
             ahead: Setpoint::default(),
-            numbered: 0,
             left: None,
             commanded: false,
             owner: Owner::Here,
             held: None,
             losses: 0,
+            lost: 0,
             ending: Ending::No,
             requested: Requested::default(),
             misses: 0,
+            largest_in: Largest::default(),
             monitor: [None; MONITOR_CHANNELS],
         }
     }
 
     /// Adds the memory that it touches besides itself and its rings, to be locked.
     pub fn memory(&self, regions: &mut Regions) {
-        self.queues.feedback.memory(regions);
+        self.outlet.memory(regions);
         self.queues.setpoints.memory(regions);
     }
 
@@ -281,12 +307,33 @@ impl DriveController {
     }
 
     /// Evaluates this cycle, what was sent included, and watches the axis. Returns the result of the exchange.
+    #[inline(always)] // Once for each axis and cycle.
     pub fn evaluate(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) -> Reply {
         if std::mem::take(&mut slot.due) || self.queued {
             self.sent(cycle, slot);
         }
+        self.evaluate_received(cycle, now, slot)
+    }
+
+    /// The same of what was received.
+    #[inline(always)] // As `evaluate`.
+    fn evaluate_received(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) -> Reply {
+        match self.judge_usual(cycle, now, slot) {
+            Some(reply) => {
+                self.watch(cycle, now, slot, true, false);
+                reply
+            }
+            None => self.evaluate_otherwise(cycle, now, slot),
+        }
+    }
+
+    /// The same of a cycle with another end than the usual one.
+    #[inline(never)]
+    fn evaluate_otherwise(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) -> Reply {
         let reply = self.judge(cycle, now, slot);
-        self.watch(cycle, now, slot);
+        let fresh = slot.notices.fresh;
+        let restarted = fresh && std::mem::take(&mut slot.notices.restarted);
+        self.watch(cycle, now, slot, fresh, restarted);
         reply
     }
 
@@ -316,17 +363,27 @@ impl DriveController {
         self.measured.reply
     }
 
-    /// Publishes the feedback; returns the telemetry record of this cycle, as that of axis `axis`.
+    /// Publishes the feedback; returns the telemetry record of this cycle, as that of axis `axis`. `noted` becomes true
+    /// if there are notes for the telemetry, or if something was lost.
     #[inline(always)] // Its record is built in the ring.
-    pub fn publish(&mut self, axis: u16) -> DriveRecord {
-        self.feedback.write_to(&mut self.queues.feedback, self.shows);
+    pub fn publish(&mut self, axis: u16, noted: &mut bool) -> DriveRecord {
+        self.feedback.write_to(&mut self.outlet, self.shows, self.shown);
+        if self.has_samples {
+            self.publish_sample();
+        }
+        *noted |= self.measured.noted;
+        let command = self.duty.follows().command;
+        DriveRecord::new(axis, command, std::mem::take(&mut self.measured), &self.feedback)
+    }
+
+    #[inline(never)]
+    fn publish_sample(&mut self) {
         if let Some(samples) = &mut self.queues.samples
             && samples.push(self.feedback).is_err()
         {
-            self.queues.lost += 1;
+            self.lost += 1;
+            self.measured.noted = true;
         }
-        let command = self.duty.follows().command;
-        DriveRecord::new(axis, command, std::mem::take(&mut self.measured), &self.feedback)
     }
 
     /// The drive has reported monitored variables in this cycle.
@@ -343,12 +400,6 @@ impl DriveController {
         Some(MonitorRecord { index: *cycle, axis, shown })
     }
 
-    /// It has notes for the telemetry; asked before its record is built.
-    #[inline]
-    pub fn has_notes(&self) -> bool {
-        self.measured.noted
-    }
-
     /// The oldest of its notes, as one of axis `axis`.
     pub fn take_note(&mut self, axis: u16) -> Option<Note> {
         self.queues.journal.take(axis, self.feedback.cycle)
@@ -359,16 +410,15 @@ impl DriveController {
         self.queues.journal.take_lost()
     }
 
-    /// Events and samples for which the queues had no room.
-    #[inline]
-    pub fn lost(&self) -> u64 {
-        self.queues.lost
+    /// How many events and samples found no room in the queues since the last call.
+    pub fn take_lost(&mut self) -> u64 {
+        std::mem::take(&mut self.lost)
     }
 
     /// The loop's counts of it so far, with those of its bus.
     pub fn numbers(&self, slot: &Slot) -> DriveNumbers {
-        let DriveController { losses, peaks, monitor, .. } = *self;
-        DriveNumbers { counters: slot.counters, losses, peaks, monitor }
+        let DriveController { losses, largest, largest_in, monitor, .. } = *self;
+        DriveNumbers { counters: slot.counters, losses, peaks: largest.peaks(&largest_in), monitor }
     }
 
     /// Ends everything that the application has requested.
@@ -432,7 +482,7 @@ impl DriveController {
         let kept = if matches!(kind, EventKind::Ended { .. }) { 0 } else { self.queues.room_for_ends };
         let room = self.queues.events.slots() > kept;
         if !room || self.queues.events.push(Event { cycle: cycle.index, at: now, kind, begun_by }).is_err() {
-            self.queues.lost += 1;
+            self.lost += 1;
         }
     }
 }

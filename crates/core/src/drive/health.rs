@@ -1,5 +1,7 @@
 //! Link health of one drive: a leaky bucket over its exchanges, and the schedule of its requests.
 
+use std::mem::offset_of;
+
 use crate::axis::{Health, Link};
 use crate::time::nanos;
 
@@ -17,9 +19,9 @@ pub enum Probes {
     AtOwnRate,
 }
 
-/// The link to one drive as the loop evaluates it: one cache line.
+/// The link to one drive as the loop evaluates it. What an answered exchange touches stands first.
 #[derive(Clone, Copy, Debug, Default)]
-#[repr(C, align(64))]
+#[repr(C)]
 pub struct LinkHealth {
     link: Link,
     /// Each slot is one of its own.
@@ -31,12 +33,12 @@ pub struct LinkHealth {
     good: u32,
     /// The slot of the last good one.
     good_at: u64,
+    /// Misses in the bucket.
+    level: u32,
     /// As in [`Health`].
     leak: u32,
     gate: u32,
     bucket: u32,
-    /// Misses in the bucket.
-    level: u32,
     divisor: u32,
     phase: u32,
     next_probe: u64,
@@ -49,6 +51,9 @@ pub struct LinkHealth {
 }
 
 impl LinkHealth {
+    /// Up to here it is touched by an answered exchange.
+    pub const USUAL: usize = offset_of!(LinkHealth, gate);
+
     /// A drive not seen yet. Its first probe goes out in slot `first_probe`. `silence` slots without a good exchange
     /// are a loss, however many of them were executed.
     pub fn new(
@@ -81,6 +86,12 @@ impl LinkHealth {
     /// The link now.
     pub fn link(&self) -> Link {
         self.link
+    }
+
+    /// It is up, and no miss is in its bucket.
+    #[inline]
+    pub fn is_clean(&self) -> bool {
+        self.link == Link::Online && self.level == 0
     }
 
     /// Whether an exchange is due in slot `index`: every own slot while the drive answers, and its probes while it does

@@ -36,6 +36,30 @@ pub struct Peaks {
     pub age: Peak,
 }
 
+/// The largest times of one drive, ns, or their slots: the loop compares with the times in each cycle.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Largest {
+    pub rtt: u64,
+    pub send_jitter: u64,
+    pub age: u64,
+}
+
+impl Largest {
+    /// With their slots.
+    pub fn peaks(&self, slots: &Largest) -> Peaks {
+        let peak = |of: fn(&Largest) -> u64| Peak { ns: of(self), index: of(slots) };
+        Peaks { rtt: peak(|of| of.rtt), send_jitter: peak(|of| of.send_jitter), age: peak(|of| of.age) }
+    }
+}
+
+/// Takes one more time into the largest one and its slot.
+#[inline]
+pub(super) fn see(largest: &mut u64, slot: &mut u64, ns: u64, index: u64) {
+    if ns > *largest {
+        (*largest, *slot) = (ns, index);
+    }
+}
+
 /// The range of a monitored variable: newest, smallest and largest value.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Extent {

@@ -19,6 +19,9 @@
 //!   commands have all ended. What is left of an ended motion only decays: a speed that rises again, or that lasts, is
 //!   a motion of its own.
 
+use std::mem::offset_of;
+
+use crate::axis::units::way;
 use crate::axis::{AxisPlan, DriveStatus, Unit, Units};
 use crate::bus::Slot;
 use crate::bus::desired::Evidence;
@@ -97,6 +100,7 @@ impl Sample {
     }
 
     /// Whether it shows the demand velocity.
+    #[inline]
     fn tells_demand(&self) -> bool {
         self.led && !self.shown.is_nan()
     }
@@ -172,10 +176,19 @@ impl InARow {
     }
 }
 
-/// The watch over one axis.
+/// The watch over one axis. What each report touches stands last, from [`USUAL`](Watch::USUAL) on; what one of an axis
+/// that nothing commands touches besides is one cache line before it.
 #[derive(Clone, Copy, Debug)]
 #[repr(C)]
 pub(super) struct Watch {
+    /// The last report that did not count.
+    held: Sample,
+    /// The origin of the positions may change until then.
+    pub settles_until: Time,
+    rules: Rules,
+    rest: Rest,
+    /// The last report that counted.
+    last: Sample,
     /// So many reports in a row say a loss ...
     pub losses: u8,
     /// ... of as many that prove it; the newest of them says these.
@@ -187,28 +200,21 @@ pub(super) struct Watch {
     held_for: u8,
     /// The last report is new since the limits were looked at.
     fresh: bool,
+    /// Something has commanded the axis since a report was looked at of which nothing did.
+    commanded: bool,
     /// Those that were too far from their demand.
     strayed: InARow,
-    /// The last report that counted.
-    last: Sample,
-    /// Velocity of the demand between the last two of them, or the actual one, user units/s.
-    velocity: f64,
     /// Those that were out of bounds.
     broken: InARow,
-    rules: Rules,
-    phase: Phase,
-    /// Those of a motion of its own.
-    moved: InARow,
-    /// The last report that did not count.
-    held: Sample,
-    /// The origin of the positions may change until then.
-    pub settles_until: Time,
+    /// Velocity of the demand between the last two of them, or the actual one, user units/s.
+    velocity: f64,
+    bounds: Bounds,
 }
 
-/// What the plan allows. What is compared in each cycle stands first.
+/// What each report is compared with.
 #[derive(Clone, Copy, Debug)]
 #[repr(C)]
-struct Rules {
+struct Bounds {
     /// The speed that is in reach, user units per ns.
     speed: f64,
     /// Of positions, user units.
@@ -218,22 +224,46 @@ struct Rules {
     following: f64,
     /// The age of an actual position against the demand of its report, s.
     behind_s: f64,
-    velocity: Option<f64>,
-    position: Option<(f64, f64)>,
+    /// A demand that is no faster, and lies between these, breaks no limit.
+    velocity: f64,
+    low: f64,
+    high: f64,
+    /// The length of one turn; 0 = it is no rotary axis.
+    turn: f64,
+}
+
+/// What is expected of an axis that nothing commands.
+#[derive(Clone, Copy, Debug)]
+#[repr(C)]
+struct Rest {
+    phase: Phase,
+    /// Reports of a motion of its own.
+    moved: InARow,
+    standstill: f64,
+    settles_ns: u64,
     deceleration: f64,
     /// From the first report of a motion that breaks a limit until a stop reaches the drive, s.
     reaction_s: f64,
+}
+
+/// What else the plan allows.
+#[derive(Clone, Copy, Debug)]
+#[repr(C)]
+struct Rules {
+    velocity: Option<f64>,
+    position: Option<(f64, f64)>,
     /// Whole wrap-arounds of the drive's 32-bit counts are no way, nor are whole turns of a rotary axis.
     units: Units,
     homing: Option<f64>,
     /// The largest speed of all, user units per ns.
     fastest: f64,
-    standstill: f64,
     stop_timeout_ns: u64,
-    settles_ns: u64,
 }
 
 impl Watch {
+    /// From here on it is touched by each report.
+    pub const USUAL: usize = offset_of!(Watch, last);
+
     /// The watch over the axis of `plan`, whose exchanges are `interval_ns` apart, whose actual positions are so many
     /// ns behind the demand of their reports, and of which `proof` reports in a row prove a loss.
     pub fn new(plan: &AxisPlan, interval_ns: u64, behind_ns: u64, proof: u8) -> Watch {
@@ -241,41 +271,53 @@ impl Watch {
             Unit::Millimetre => (PUSHED_MM, FASTEST_MM),
             Unit::Revolution => (PUSHED_REV, FASTEST_REV),
         };
-        let fastest = plan.limits.velocity.map_or(fastest, |limit| fastest.max(OVER_LIMIT * limit));
-        let speed = plan.limits.velocity.map_or(fastest, |limit| (OVER_LIMIT * limit).max(pushed));
-        let rules = Rules {
-            speed: speed * 1e-9,
-            rounding: COUNTS / plan.units.counts_per_unit.abs(),
-            shift_ns: SHIFT_NS.max(interval_ns),
-            following: plan.most_following_error(behind_ns).unwrap_or(f64::INFINITY),
-            behind_s: behind_ns as f64 * 1e-9,
-            velocity: plan.limits.velocity,
-            position: plan.limits.position,
-            deceleration: plan.stop.deceleration,
-            reaction_s: f64::from(REPORTS + 2) * interval_ns as f64 * 1e-9,
-            units: plan.units,
-            homing: plan.limits.homing_velocity(),
-            fastest: fastest * 1e-9,
-            standstill: plan.stop.standstill,
-            stop_timeout_ns: nanos(plan.stop.timeout),
-            settles_ns: SETTLED_WITHIN_NS.max(interval_ns.saturating_mul(plan.stop.standstill_for.into())),
-        };
+        let limits = &plan.limits;
+        let fastest = limits.velocity.map_or(fastest, |limit| fastest.max(OVER_LIMIT * limit));
+        let speed = limits.velocity.map_or(fastest, |limit| (OVER_LIMIT * limit).max(pushed));
+        let rounding = COUNTS / plan.units.counts_per_unit.abs();
+        let (low, high) = limits.position.unwrap_or((f64::MIN, f64::MAX));
         Watch {
+            held: Sample::default(),
+            settles_until: Time(0),
+            rules: Rules {
+                velocity: limits.velocity,
+                position: limits.position,
+                units: plan.units,
+                homing: limits.homing_velocity(),
+                fastest: fastest * 1e-9,
+                stop_timeout_ns: nanos(plan.stop.timeout),
+            },
+            rest: Rest {
+                phase: Phase::default(),
+                moved: InARow::default(),
+                standstill: plan.stop.standstill,
+                settles_ns: SETTLED_WITHIN_NS
+                    .max(interval_ns.saturating_mul(plan.stop.standstill_for.into())),
+                deceleration: plan.stop.deceleration,
+                reaction_s: f64::from(REPORTS + 2) * interval_ns as f64 * 1e-9,
+            },
+            last: Sample { shown: f64::NAN, ..Sample::default() },
             losses: 0,
             proof,
             said: Losses::default(),
             unreferenced: false,
             held_for: 0,
             fresh: false,
+            commanded: false,
             strayed: InARow::default(),
-            last: Sample { shown: f64::NAN, ..Sample::default() },
-            velocity: 0.0,
             broken: InARow::default(),
-            rules,
-            phase: Phase::default(),
-            moved: InARow::default(),
-            held: Sample::default(),
-            settles_until: Time(0),
+            velocity: 0.0,
+            bounds: Bounds {
+                speed: speed * 1e-9,
+                rounding,
+                shift_ns: SHIFT_NS.max(interval_ns),
+                following: plan.most_following_error(behind_ns).unwrap_or(f64::INFINITY),
+                behind_s: behind_ns as f64 * 1e-9,
+                velocity: limits.velocity.map_or(f64::MAX, |limit| limit * SPEED_MARGIN),
+                low: low - rounding,
+                high: high + rounding,
+                turn: plan.units.modulo.unwrap_or(0.0),
+            },
         }
     }
 
@@ -297,7 +339,7 @@ impl Watch {
     pub fn takes(&mut self, sample: Sample) -> bool {
         // An unknown position is not far away.
         let is_far = (sample.position - self.last.position).abs()
-            > self.rules.way(self.rules.speed, &self.last, sample.at);
+            > self.bounds.way(self.bounds.speed, &self.last, sample.at);
         if !is_far {
             self.keep(sample);
         }
@@ -313,8 +355,8 @@ impl Watch {
         } else if last.homed == sample.homed && last.tells_demand() {
             // Which of the two telegrams was delayed is not known: the longer time is the safe one.
             let ns = sample.at.since(last.at).max(sample.sent_at.since(last.sent_at)).max(1);
-            let way = self.rules.units.way(last.shown, sample.shown);
-            (way.abs() - self.rules.rounding).max(0.0).copysign(way) * 1e9 / ns as f64
+            let way = way(self.bounds.modulo(), last.shown, sample.shown);
+            (way.abs() - self.bounds.rounding).max(0.0).copysign(way) * 1e9 / ns as i64 as f64
         } else {
             // Homing gave the positions another origin, or there was none before: that was no motion.
             0.0
@@ -329,12 +371,12 @@ impl Watch {
         let speed = match bound {
             Bound::None => return Weight::Counts,
             Bound::Fastest => self.rules.fastest,
-            Bound::Plan => self.rules.speed,
+            Bound::Plan => self.bounds.speed,
         };
         let new = *sample;
         let near = |place: &Sample| {
             let way = self.rules.units.unwrapped(new.position - place.position);
-            let is_far = way.abs() > self.rules.way(speed, place, new.at);
+            let is_far = way.abs() > self.bounds.way(speed, place, new.at);
             !is_far
         };
         let (from, weight) = if near(&self.last) {
@@ -387,7 +429,7 @@ impl Watch {
     #[inline]
     pub fn strays(&mut self) -> bool {
         // An unknown position is not a distance.
-        if self.following_error().abs() > self.rules.following {
+        if self.following_error().abs() > self.bounds.following {
             return self.strays_on();
         }
         self.strayed.count = 0;
@@ -398,12 +440,12 @@ impl Watch {
     #[cold]
     fn strays_on(&mut self) -> bool {
         let error = self.rules.units.unwrapped(self.following_error());
-        self.fresh && self.strayed.prove(error.abs() > self.rules.following, 0.0)
+        self.fresh && self.strayed.prove(error.abs() > self.bounds.following, 0.0)
     }
 
     #[inline]
     fn following_error(&self) -> f64 {
-        self.last.demand - self.last.position - self.velocity * self.rules.behind_s
+        self.last.demand - self.last.position - self.velocity * self.bounds.behind_s
     }
 
     /// Whether the drive does what the plan forbids. Where it must also be able to stop inside its range: from where it
@@ -413,65 +455,88 @@ impl Watch {
         if !std::mem::take(&mut self.fresh) {
             return false;
         }
-        let Watched { homing, braking } = watched;
-        let (Watch { rules, velocity, .. }, sample) = (&*self, &self.last);
+        let Watch { bounds, velocity, last, .. } = &*self;
+        // An unknown value is not inside, nor is it certainly outside.
+        let stands = *velocity == 0.0;
+        let inside = stands || !watched.braking && last.shown >= bounds.low && last.shown <= bounds.high;
+        let usual = velocity.abs() <= bounds.velocity && inside && !watched.homing;
+        let forbidden = !usual && self.is_forbidden(watched);
+        self.broken.prove(forbidden, self.velocity)
+    }
+
+    /// The same of a motion that is none of the usual ones.
+    #[inline(never)]
+    fn is_forbidden(&self, Watched { homing, braking }: Watched) -> bool {
+        let (Watch { rules, rest, velocity, .. }, sample) = (self, &self.last);
         // Written so that an unknown value is not inside.
         let margin = if sample.tells_demand() { SPEED_MARGIN } else { ACTUAL_SPEED_MARGIN };
         let most = if homing { rules.homing } else { rules.velocity };
         let slow = most.is_none_or(|most| velocity.abs() <= most * margin);
         let inside = rules.position.filter(|_| sample.homed && !homing).is_none_or(|(low, high)| {
-            let braking_s = velocity.abs() / (2.0 * rules.deceleration) + rules.reaction_s;
+            let braking_s = velocity.abs() / (2.0 * rest.deceleration) + rest.reaction_s;
             let end = sample.shown + velocity * if braking { braking_s } else { 0.0 };
             // From outside, a motion may lead back in.
             *velocity == 0.0
-                || *velocity > 0.0 && end <= high + rules.rounding
-                || *velocity < 0.0 && end >= low - rules.rounding
+                || *velocity > 0.0 && end <= high + self.bounds.rounding
+                || *velocity < 0.0 && end >= low - self.bounds.rounding
         });
-        self.broken.prove(!(slow && inside), self.velocity)
+        !(slow && inside)
     }
 
     /// What the axis may do from now on.
     #[inline]
     pub fn expect(&mut self, phase: Phase) {
-        (self.phase, self.moved) = (phase, InARow::default());
+        self.commanded = phase == Phase::Commanded;
+        if !self.commanded {
+            (self.rest.phase, self.rest.moved) = (phase, InARow::default());
+        }
     }
 
     /// A clean report of an axis with power that nothing commands. True if it moves by itself.
     pub fn moves(&mut self, now: Time, report: &DriveStatus) -> bool {
-        let (rules, velocity) = (&self.rules, report.velocity);
+        if std::mem::take(&mut self.commanded) {
+            (self.rest.phase, self.rest.moved) = (Phase::Commanded, InARow::default());
+        }
+        let (rest, velocity) = (&self.rest, report.velocity);
         // Without a velocity only the protocol knows.
         let speed = if velocity.is_nan() { 0.0 } else { velocity.abs() };
-        let stands = !report.moving && speed <= rules.standstill;
+        let stands = !report.moving && speed <= rest.standstill;
         let settling = |fastest| Phase::Settling { since: now, fastest };
-        let (phase, own) = match self.phase {
+        let (phase, own) = match rest.phase {
             Phase::Stopping => {
-                let overshoot = rules.standstill.max(rules.deceleration * OVERSHOOT_SECONDS);
-                (settling(rules.standstill + overshoot), false)
+                let overshoot = rest.standstill.max(rest.deceleration * OVERSHOOT_SECONDS);
+                (settling(rest.standstill + overshoot), false)
             }
             Phase::Commanded => (settling(f64::INFINITY), false),
             Phase::Failed | Phase::Braking { .. } if stands => (settling(f64::INFINITY), false),
             Phase::Failed => (Phase::Braking { since: now, slowest: speed }, false),
-            Phase::Braking { since, .. } if now.since(since) > rules.stop_timeout_ns => return true,
+            Phase::Braking { since, .. } if now.since(since) > self.rules.stop_timeout_ns => return true,
             Phase::Braking { since, slowest } => {
-                (Phase::Braking { since, slowest: slowest.min(speed) }, speed > slowest + rules.standstill)
+                (Phase::Braking { since, slowest: slowest.min(speed) }, speed > slowest + rest.standstill)
             }
             Phase::Settling { since, fastest } => {
-                let rests = now.since(since) >= rules.settles_ns;
-                (if rests { Phase::Resting } else { self.phase }, speed > fastest)
+                let rests = now.since(since) >= rest.settles_ns;
+                (if rests { Phase::Resting } else { rest.phase }, speed > fastest)
             }
             Phase::Resting => (Phase::Resting, !stands),
         };
-        self.phase = phase;
-        self.moved.prove(own, velocity)
+        self.rest.phase = phase;
+        self.rest.moved.prove(own, velocity)
     }
 }
 
-impl Rules {
+impl Bounds {
     /// How far the axis can go at this speed from the `place` to where it is reported at `at`: the drive took the first
     /// position after its request had left, and the second one before its reply came in.
     #[inline]
     fn way(&self, speed: f64, place: &Sample, at: Time) -> f64 {
-        speed * (at.since(place.sent_at) + self.shift_ns) as f64 + self.rounding
+        speed * (at.since(place.sent_at) + self.shift_ns) as i64 as f64 + self.rounding
+    }
+
+    /// Of a rotary axis.
+    #[inline]
+    fn modulo(&self) -> Option<f64> {
+        (self.turn > 0.0).then_some(self.turn)
     }
 }
 

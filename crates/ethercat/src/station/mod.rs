@@ -321,7 +321,7 @@ impl Station {
     /// Its mailbox was read: takes the next emergency, if the previous one was reported. A warning, a fault, or the
     /// end of one.
     pub fn mailbox_received(&mut self, slot: &mut Slot) {
-        if slot.notices.emergency.is_some() {
+        if slot.notices.has_emergency() {
             return;
         }
         let Some(emergency) = self.service.take_emergency() else { return };
@@ -330,7 +330,7 @@ impl Station {
             _ => (self.faults.emergency, self.faults.emergency_at) = (emergency, self.profile.grid),
         }
         self.unsettle();
-        slot.notices.emergency = Some(axis::Emergency { code: emergency.code, register: emergency.register });
+        slot.notices.report(axis::Emergency { code: emergency.code, register: emergency.register });
     }
 
     /// The drive's report, in user units.
@@ -383,8 +383,8 @@ impl Station {
         report.fault = u32::from(inputs.fault);
         if let Some(shown) = self.requests.take_shown() {
             (report.monitor, notices.monitor_fresh) = (*shown, true);
-            if let Some(refusal) = self.requests.refusal.take() {
-                notices.monitor_refused = Some(refusal);
+            if let Some((channel, status)) = self.requests.refusal.take() {
+                notices.refuse_monitor(channel, status);
             }
         }
         self.led &= self.has_place && !homing && !self.profile.is_native();

@@ -203,7 +203,9 @@ impl Station {
             Some(block) => self.rtc.take(block, is_earlier),
             None => self.rtc.take_none(is_earlier),
         }
-        slot.notices.monitor_refused = self.rtc.take_monitor_refusal().or(slot.notices.monitor_refused);
+        if let Some((channel, status)) = self.rtc.take_monitor_refusal() {
+            slot.notices.refuse_monitor(channel, status);
+        }
     }
 }
 

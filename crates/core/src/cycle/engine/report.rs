@@ -13,21 +13,25 @@ impl Channels {
         *lost += u64::from(self.records.push(record).is_err());
     }
 
-    /// Sends the commands that an axis has taken, and its events, to the telemetry.
-    fn notes(&mut self, axis: usize, controller: &mut DriveController, lost: &mut u64) {
+    /// Sends the commands that an axis has taken, and its events, to the telemetry. Returns how many events and samples
+    /// the axis has lost.
+    fn notes(&mut self, axis: usize, controller: &mut DriveController, lost: &mut u64) -> u64 {
         while let Some(note) = controller.take_note(axis as u16) {
             self.record(note.into(), lost);
         }
         *lost += controller.take_lost_notes();
+        controller.take_lost()
     }
 
-    /// Publishes a drive, with the monitored variables that it has shown.
+    /// Publishes a drive, with the monitored variables that it has shown. Returns whether it has notes.
     #[inline(always)] // In the usual cycle.
-    fn publish(&mut self, axis: usize, controller: &mut DriveController, lost: &mut u64) {
-        self.record(Record::Drive(controller.publish(axis as u16)), lost);
+    fn publish(&mut self, axis: usize, controller: &mut DriveController, lost: &mut u64) -> bool {
+        let mut noted = false;
+        self.record(Record::Drive(controller.publish(axis as u16, &mut noted)), lost);
         if let Some(record) = controller.take_shown(axis as u16) {
             self.record(Record::Monitor(record), lost);
         }
+        noted
     }
 }
 
@@ -49,57 +53,49 @@ impl<C: Clock> Engine<C> {
     }
 
     pub(super) fn publish(&mut self) {
-        let turn = self.status.executed;
         // The records are built in the ring, if each drive has one and there is room for all of them.
         let axes = self.controllers.len();
         let room = if self.shows { None } else { self.channels.records.write_chunk_uninit(axes).ok() };
-        let (mut lost, mut noted) = (0, false);
+        let mut noted = false;
         match room {
             Some(room) => {
-                room.fill_from_iter(self.controllers.iter_mut().enumerate().map(|(axis, controller)| {
-                    noted |= controller.has_notes();
-                    let record = controller.publish(axis as u16);
-                    lost += controller.lost();
-                    Record::Drive(record)
-                }));
+                room.fill_from_iter(
+                    self.controllers
+                        .iter_mut()
+                        .enumerate()
+                        .map(|(axis, controller)| Record::Drive(controller.publish(axis as u16, &mut noted))),
+                );
             }
-            None => (lost, noted) = self.publish_each(),
+            None => noted = self.publish_each(),
         }
         if noted {
             self.publish_notes();
         }
-        // Those whose turn it is.
-        let (axes, every) = (self.axes.len(), self.numbers_every);
-        let first = (every - turn % every) % every;
-        for axis in (first as usize..axes).step_by(every as usize) {
-            self.axes[axis].numbers.write(&self.controllers[axis].numbers(&self.slots[axis]));
+        // Those whose turn it is: from this one on, one in so many.
+        self.numbers_turn = self.numbers_turn.checked_sub(1).unwrap_or(self.numbers_every - 1);
+        let mut axis = self.numbers_turn;
+        while let Some(outlet) = self.axes.get_mut(axis) {
+            outlet.numbers.write(&self.controllers[axis].numbers(&self.slots[axis]));
+            axis += self.numbers_every;
         }
-        if first == 0 {
+        if self.numbers_turn == 0 {
             self.buses.iter_mut().for_each(OpenBus::publish);
         }
         self.status.planned = self.grid.planned() + 1;
-        self.status.lost_events = lost;
         self.publish_status();
     }
 
-    /// Publishes one drive after the other, with the monitored variables that it has shown. Returns how many events and
-    /// samples were lost so far, and whether an axis has notes.
+    /// Publishes one drive after the other, with the monitored variables that it has shown. Returns whether an axis has
+    /// notes.
     #[inline(never)]
-    pub(super) fn publish_each(&mut self) -> (u64, bool) {
-        let (mut lost, mut noted) = (0, false);
-        let (channels, lost_records) = (&mut self.channels, &mut self.status.lost_records);
+    pub(super) fn publish_each(&mut self) -> bool {
+        let mut noted = false;
+        let (channels, lost) = (&mut self.channels, &mut self.status.lost_records);
         for (axis, controller) in self.controllers.iter_mut().enumerate() {
-            noted |= controller.has_notes();
-            match self.panics.each {
-                false => channels.publish(axis, controller, lost_records),
-                true => {
-                    let publish = || channels.publish(axis, controller, lost_records);
-                    self.panics.guard(Part::Axis(axis), publish);
-                }
-            }
-            lost += controller.lost();
+            let publish = || channels.publish(axis, controller, lost);
+            noted |= self.panics.run(Part::Axis(axis), publish).unwrap_or(false);
         }
-        (lost, noted)
+        noted
     }
 
     /// Publishes the commands that the axes have taken, and their events.
@@ -107,12 +103,8 @@ impl<C: Clock> Engine<C> {
     pub(super) fn publish_notes(&mut self) {
         let (channels, lost) = (&mut self.channels, &mut self.status.lost_records);
         for (axis, controller) in self.controllers.iter_mut().enumerate() {
-            match self.panics.each {
-                false => channels.notes(axis, controller, lost),
-                true => {
-                    self.panics.guard(Part::Axis(axis), || channels.notes(axis, controller, lost));
-                }
-            }
+            let notes = || channels.notes(axis, controller, lost);
+            self.status.lost_events += self.panics.run(Part::Axis(axis), notes).unwrap_or(0);
         }
     }
 

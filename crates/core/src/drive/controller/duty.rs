@@ -3,6 +3,8 @@
 //! Each of them changes rarely, and is consulted several times in each cycle. What follows from them together is
 //! therefore computed when one of them changes, here and nowhere else.
 
+use std::mem::offset_of;
+
 use crate::axis::command::NativeOwner;
 use crate::axis::{Command, QueuedCommand, StopCause};
 use crate::drive::stop::StopSequence;
@@ -92,6 +94,9 @@ pub(super) enum Lead {
 }
 
 impl Duty {
+    /// Up to here it is read in each cycle.
+    pub(super) const USUAL: usize = offset_of!(Duty, latch);
+
     pub(super) fn follows(&self) -> Follows {
         self.follows
     }

@@ -15,11 +15,11 @@
 use super::duty::Claim;
 use super::watch::Braked;
 use super::{Along, DriveController, Ending};
-use crate::axis::{Command, DriveStatus, EventKind, Link, Outcome, State, StopCause};
+use crate::axis::{Command, DriveStatus, EventKind, Link, Outcome, Shown, State, StopCause};
 use crate::bus::contract::Ended;
 use crate::bus::desired::{Evidence, Homing, ModeIs, Power};
 use crate::bus::{Cycle, Exchange, Slot};
-use crate::drive::numbers::Extent;
+use crate::drive::numbers::{Extent, see};
 use crate::drive::record::{Reply, measured, short};
 use crate::drive::watch::{Bound, Losses, Sample, Weight};
 use crate::time::{MS, Time};
@@ -51,10 +51,11 @@ impl DriveController {
         self.row_waits = false;
         let phase_ns = sent_at.since(cycle.grid);
         self.measured.phase_ns = measured(phase_ns);
-        if let Some(before) = self.phase_ns.replace(phase_ns) {
-            let jitter_ns = phase_ns.abs_diff(before);
+        let before_ns = std::mem::replace(&mut self.phase_ns, phase_ns);
+        if before_ns != DriveController::NEVER {
+            let jitter_ns = phase_ns.abs_diff(before_ns);
             self.measured.jitter_ns = measured(jitter_ns);
-            self.peaks.send_jitter.see(jitter_ns, cycle.index);
+            see(&mut self.largest.send_jitter, &mut self.largest_in.send_jitter, jitter_ns, cycle.index);
         }
     }
 
@@ -71,42 +72,66 @@ impl DriveController {
         }
     }
 
-    /// Evaluates this cycle's exchange, updates the feedback, and notices changes. Returns the result of the
+    /// The usual end of a cycle: the drive is online and has missed nothing, its exchange was answered, and its report
+    /// says what the one before has said, but for its values. `None`: it is another one, and nothing is changed yet.
+    #[inline(always)] // As `sent`.
+    pub(super) fn judge_usual(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) -> Option<Reply> {
+        let (sent_at, reply) = match slot.exchange {
+            Exchange::Answered { sent_at, suspect: false, .. } => (sent_at, Reply::Answered),
+            Exchange::OwnClock { fresh_until, .. } if cycle.grid < fresh_until => {
+                (slot.status.at, Reply::Current)
+            }
+            _ => return None,
+        };
+        if slot.has_earlier | slot.reachable
+            || !slot.notices.is_fresh_only()
+            || !self.health.is_clean()
+            || self.feedback.link != Link::Online
+            || self.rising > 0
+            || !self.feedback.status.says(&slot.status)
+            || self.watch.doubts()
+            || !self.watch.takes(Sample::of(sent_at, !self.duty.is_under_torque(), slot))
+        {
+            return None;
+        }
+        self.grid = cycle.grid;
+        self.measured.was_online = true;
+        self.answered(cycle, slot);
+        self.measured.reply = reply;
+        self.feedback.cycle = cycle.index;
+        self.keep_status(slot);
+        self.grow_old(cycle, now);
+        Some(reply)
+    }
+
+    /// Evaluates any other end of a cycle, updates the feedback, and notices changes. Returns the result of the
     /// exchange.
-    #[inline]
     pub(super) fn judge(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) -> Reply {
         self.grid = cycle.grid;
         self.measured.was_online = self.feedback.link == Link::Online;
         let jumped = if slot.notices.fresh { self.weigh(slot) } else { None };
-        let mut rtt = None;
         // What ended besides this exchange, and when the request was sent that is reported on, if that is an earlier
         // one.
         let (ended, reported) =
             if slot.has_earlier { self.judge_earlier(cycle, now, slot) } else { (None, None) };
-        // The usual end of an exchange, in a cycle that has one.
-        let reply = if let Exchange::Answered { sent_at, at, suspect: false } = slot.exchange {
-            slot.exchange = Exchange::Idle;
-            self.health.answered(cycle.index);
-            let rtt_ns = at.since(sent_at);
-            self.peaks.rtt.see(rtt_ns, cycle.index);
-            self.measured.rtt_ns = measured(rtt_ns);
-            rtt = Some(short(rtt_ns));
-            Reply::Answered
-        } else if let Exchange::OwnClock { fresh_until, .. } = slot.exchange
-            && cycle.grid < fresh_until
-        {
-            slot.counters.answered += 1;
-            slot.exchange = Exchange::Idle;
-            self.health.answered(cycle.index);
-            Reply::Current
-        } else {
-            let reply = self.judge_otherwise(cycle, now, slot);
-            self.health.watch_silence(cycle.index);
-            reply
+        let reply = match slot.exchange {
+            Exchange::Answered { suspect: false, .. } => {
+                self.answered(cycle, slot);
+                Reply::Answered
+            }
+            Exchange::OwnClock { fresh_until, .. } if cycle.grid < fresh_until => {
+                self.answered(cycle, slot);
+                Reply::Current
+            }
+            _ => {
+                let reply = self.judge_otherwise(cycle, now, slot);
+                self.health.watch_silence(cycle.index);
+                reply
+            }
         };
         let reply = match &ended {
             None => reply,
-            Some(ended) => self.with_earlier(reply, ended, &mut rtt),
+            Some(ended) => self.with_earlier(reply, ended, slot),
         };
         self.measured.reply = reply;
         if slot.reachable {
@@ -116,7 +141,7 @@ impl DriveController {
         if slot.notices.restarted {
             self.watch.forget();
         }
-        self.take_status(cycle, now, slot, rtt);
+        self.take_status(cycle, now, slot);
         if let Some(sent_at) = reported {
             let age = cycle.grid.since(sent_at).div_ceil(cycle.period_ns.max(1));
             self.feedback.grow_older(age.min(cycle.index));
@@ -130,11 +155,35 @@ impl DriveController {
         // The first answer need not report the drive's state.
         if matches!(self.feedback.link, Link::Online | Link::Qualifying) && self.feedback.status.at != Time(0)
         {
-            let age_ns = now.since(self.feedback.status.at);
-            self.measured.age_ns = measured(age_ns);
-            self.peaks.age.see(age_ns, cycle.index);
+            self.grow_old(cycle, now);
         }
         reply
+    }
+
+    /// The exchange was answered, for certain: that of a drive with its own clock without a round trip.
+    #[inline(always)] // As `sent`.
+    fn answered(&mut self, cycle: &Cycle, slot: &mut Slot) {
+        match slot.exchange {
+            Exchange::Answered { sent_at, at, .. } => {
+                let rtt_ns = at.since(sent_at);
+                see(&mut self.largest.rtt, &mut self.largest_in.rtt, rtt_ns, cycle.index);
+                self.measured.rtt_ns = measured(rtt_ns);
+                if slot.notices.fresh {
+                    self.feedback.rtt_ns = Some(short(rtt_ns));
+                }
+            }
+            _ => slot.counters.answered += 1,
+        }
+        slot.exchange = Exchange::Idle;
+        self.health.answered(cycle.index);
+    }
+
+    /// How old its values are by now.
+    #[inline(always)] // As `sent`.
+    fn grow_old(&mut self, cycle: &Cycle, now: Time) {
+        let age_ns = now.since(self.feedback.status.at);
+        self.measured.age_ns = measured(age_ns);
+        see(&mut self.largest.age, &mut self.largest_in.age, age_ns, cycle.index);
     }
 
     /// The exchanges of earlier cycles, oldest first: those whose time is up, and those that were answered.
@@ -147,7 +196,7 @@ impl DriveController {
         (0..missed).for_each(|_| self.missed(cycle, now));
         if answered > 0 {
             (0..answered).for_each(|_| self.health.answered(cycle.index));
-            self.peaks.rtt.see(rtt_ns, cycle.index);
+            see(&mut self.largest.rtt, &mut self.largest_in.rtt, rtt_ns, cycle.index);
             self.measured.rtt_ns = measured(rtt_ns);
         }
         // The reply to a newer request has replaced what they report.
@@ -160,12 +209,14 @@ impl DriveController {
 
     /// How a cycle ended in which exchanges of earlier ones ended, too.
     #[cold]
-    fn with_earlier(&mut self, reply: Reply, ended: &Ended, rtt: &mut Option<u32>) -> Reply {
+    fn with_earlier(&mut self, reply: Reply, ended: &Ended, slot: &Slot) -> Reply {
         let Ended { missed, answered, rtt_ns, .. } = *ended;
         self.misses = missed + u32::from(reply == Reply::Missed);
         if answered > 0 {
             self.measured.rtt_ns = self.measured.rtt_ns.max(measured(rtt_ns));
-            *rtt = rtt.or(Some(short(rtt_ns)));
+            if slot.notices.fresh && reply != Reply::Answered {
+                self.feedback.rtt_ns = Some(short(rtt_ns));
+            }
         }
         match reply {
             _ if missed > 0 => Reply::Missed,
@@ -211,8 +262,7 @@ impl DriveController {
     }
 
     /// Takes the drive's status into the feedback, with an event for each change.
-    #[inline]
-    fn take_status(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot, rtt: Option<u32>) {
+    fn take_status(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) {
         let Slot { status, notices, .. } = slot;
         let passed = cycle.index.saturating_sub(self.feedback.cycle);
         self.feedback.cycle = cycle.index;
@@ -223,20 +273,18 @@ impl DriveController {
         if self.rising > 0 {
             self.fall(status);
         }
-        let noticed = notices.restarted | notices.monitor_refused.is_some() | notices.emergency.is_some();
-        if noticed || shows(&self.feedback.status) != shows(status) {
-            return self.take_news(cycle, now, slot, rtt);
+        if notices.restarted || notices.has_more() || !self.feedback.status.shows(status) {
+            return self.take_news(cycle, now, slot);
         }
-        self.keep_status(slot, rtt);
+        self.keep_status(slot);
     }
 
     /// A fresh status becomes the feedback.
-    #[inline]
-    fn keep_status(&mut self, slot: &mut Slot, rtt: Option<u32>) {
+    #[inline(always)] // As `sent`.
+    fn keep_status(&mut self, slot: &mut Slot) {
         let Slot { status, notices, .. } = slot;
         self.feedback.status.take(status);
         self.feedback.age = u32::from(status.suspect);
-        self.feedback.rtt_ns = rtt.or(self.feedback.rtt_ns);
         if notices.monitor_fresh {
             notices.monitor_fresh = false;
             self.take_monitored(status);
@@ -255,7 +303,8 @@ impl DriveController {
     fn take_monitored(&mut self, status: &DriveStatus) {
         let monitor = status.monitor;
         self.feedback.status.monitor = monitor;
-        self.shows = monitor.iter().any(Option::is_some);
+        self.shown = Shown::mask(&monitor);
+        self.shows = self.shown != 0;
         for (extent, value) in self.monitor.iter_mut().zip(monitor) {
             if let Some(value) = value.filter(|value| !value.is_nan()) {
                 Extent::see(extent, value);
@@ -265,10 +314,10 @@ impl DriveController {
 
     /// The same where something is to be reported: what is new, or differs from what was shown before.
     #[cold]
-    fn take_news(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot, rtt: Option<u32>) {
+    fn take_news(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) {
         let before = self.feedback.status;
-        self.keep_status(slot, rtt);
-        if let Some((channel, status)) = slot.notices.monitor_refused.take() {
+        self.keep_status(slot);
+        if let Some((channel, status)) = slot.notices.take_refused() {
             self.emit(cycle, now, EventKind::MonitorRefused { channel, status });
         }
         if slot.notices.restarted {
@@ -291,8 +340,11 @@ impl DriveController {
     }
 
     /// Takes the emergency that the drive reported; it may come without an exchange.
+    #[inline]
     fn take_emergency(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) {
-        if let Some(emergency) = slot.notices.emergency.take() {
+        if slot.notices.has_more()
+            && let Some(emergency) = slot.notices.take_emergency()
+        {
             self.measured.emergency = Some(emergency.into());
             self.emit(cycle, now, EventKind::Emergency(emergency));
         }
@@ -328,8 +380,7 @@ impl DriveController {
     }
 
     /// A fresh report: takes it back out of the slot if it does not count. Returns by how much the axis has jumped.
-    /// What is as before does not take the way of the others, which saves 275 instructions a drive and cycle.
-    #[inline(always)] // Once for each axis and cycle; what is not usual takes the way around it.
+    /// What is as before does not take the way of the others.
     pub(super) fn weigh(&mut self, slot: &mut Slot) -> Option<f64> {
         let (status, before) = (&slot.status, &self.feedback.status);
         let sent_at = match slot.exchange {
@@ -344,11 +395,6 @@ impl DriveController {
         if same && !self.watch.doubts() && self.watch.takes(sample) {
             return None;
         }
-        self.weigh_anew(sample, slot)
-    }
-
-    #[inline(never)]
-    fn weigh_anew(&mut self, sample: Sample, slot: &mut Slot) -> Option<f64> {
         let weight = self.weight(sample, slot);
         if weight == Weight::Held {
             // Nothing of it is seen by the machine, nor by the application.
@@ -465,12 +511,6 @@ impl DriveController {
             self.stop_again(cycle, now, StopCause::PositionJump);
         }
     }
-}
-
-/// What of a status is reported when it changes.
-#[inline]
-fn shows(status: &DriveStatus) -> (State, bool, u32, u32) {
-    (status.state, status.sto_open, status.warning, status.fault)
 }
 
 /// The drive is to have power.

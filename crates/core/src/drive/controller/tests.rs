@@ -75,16 +75,6 @@ impl DriveController {
     }
 }
 
-#[test]
-fn what_all_stages_look_at_is_one_cache_line_of_the_controller_and_two_of_its_machine() {
-    use std::mem::offset_of;
-    assert!(offset_of!(DriveController, duty) <= 56);
-    assert_eq!(offset_of!(DriveController, machine) % 64, 0);
-    assert_eq!(size_of::<LinkHealth>(), 64);
-    let exchange = offset_of!(Slot, notices);
-    assert!(exchange < 64, "{exchange}");
-}
-
 /// The commands whose ends are among these events.
 pub(in crate::drive) fn ended(events: &mut Consumer<Event>) -> Vec<(u64, Outcome)> {
     std::iter::from_fn(|| events.pop().ok())
@@ -115,13 +105,11 @@ impl Alone {
             setpoints: setpoint_out,
             events: event_in,
             room_for_ends: 8,
-            feedback,
             samples: None,
-            lost: 0,
             log: InputLog::default(),
             journal: Journal::new(8, &mut Regions::default()),
         };
-        let controller = DriveController::new(plan, can, queues, MS, 0, 100, Probes::Spaced);
+        let controller = DriveController::new(plan, can, feedback, queues, MS, 0, 100, Probes::Spaced);
         let slot = Slot::default();
         Alone {
             controller,
@@ -155,9 +143,8 @@ impl Alone {
         };
         slot.status.at = now;
         slot.status.homed = self.homed.unwrap_or(slot.status.homed);
-        controller.judge(&cycle, now, slot);
+        controller.evaluate_received(&cycle, now, slot);
         assert!(matches!(slot.exchange, Exchange::Idle | Exchange::Missed), "taken once");
-        controller.watch(&cycle, now, slot);
         take_commands(from_mut(controller), &mut self.bells);
         controller.exchange(&cycle, now, slot);
     }
@@ -304,8 +291,12 @@ fn a_restart_an_emergency_and_a_refused_variable_in_one_report_are_all_told() {
         x.reported();
         let notices = &mut x.slot.notices;
         notices.restarted = restarted;
-        notices.monitor_refused = refused.then_some((2, 7));
-        notices.emergency = emergency.then_some(Emergency { code: 1, register: 0 });
+        if refused {
+            notices.refuse_monitor(2, 7);
+        }
+        if emergency {
+            notices.report(Emergency { code: 1, register: 0 });
+        }
         x.turn();
         let events = x.reported();
         let holds = |kind| events.contains(&kind);

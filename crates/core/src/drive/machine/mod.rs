@@ -294,7 +294,7 @@ impl Machine {
     }
 
     /// The reports of a cycle. Returns whether the newest command has ended.
-    #[inline]
+    #[inline(always)] // Once for each axis and cycle.
     pub fn observe(&mut self, now: Time, restarted: bool, slot: &Slot) -> bool {
         if self.waiting.is_none() && !restarted && self.state.left().is_undisturbed(&self.input, slot) {
             return false;

@@ -162,7 +162,8 @@ impl Rig {
         assert!(matches!(self.slot.exchange, Exchange::Answered { suspect: false, .. }));
         self.machine.observe(self.now, self.slot.notices.restarted, &self.slot);
         let notices = &mut self.slot.notices;
-        (notices.fresh, notices.restarted, notices.emergency) = (false, false, None);
+        (notices.fresh, notices.restarted) = (false, false);
+        notices.take_emergency();
         self.now = self.now + PERIOD;
         let (none, outputs) = (Vec::new(), self.outputs.clone());
         let driven = self.al == AlState::Op;

@@ -15,15 +15,14 @@ fn turn(x: &mut Alone, fresh: bool, exchange: impl Fn(Time) -> Exchange) -> Driv
     if x.controller.queued {
         x.controller.sent(&cycle, &mut x.slot);
     }
-    x.controller.judge(&cycle, now, &mut x.slot);
-    x.controller.watch(&cycle, now, &mut x.slot);
-    x.controller.publish(0)
+    x.controller.evaluate_received(&cycle, now, &mut x.slot);
+    x.controller.publish(0, &mut false)
 }
 
 #[test]
 fn a_drive_with_its_own_clock_is_answered_while_its_newest_packet_counts() {
     let mut x = Alone::new(plan()).online();
-    x.controller.publish(0);
+    x.controller.publish(0, &mut false);
     let before = x.slot.counters;
     let newest = Time((x.index + 1) * MS);
     for (age, fresh) in [(0, true), (1, false), (2, false)] {
@@ -43,7 +42,7 @@ fn a_drive_with_its_own_clock_is_answered_while_its_newest_packet_counts() {
 #[test]
 fn a_reply_of_a_later_cycle_is_feedback_with_its_age_and_a_miss_is_known_when_its_time_is_up() {
     let mut x = Alone::new(plan()).online();
-    x.controller.publish(0);
+    x.controller.publish(0, &mut false);
     let before = x.slot.counters;
     let owed = |now: Time| Exchange::Owed { sent_at: now + US, reply_by: now + MS * 3 / 2, awaited: true };
     // What the bus does before it sends: the exchange of the cycle before is one of an earlier cycle.
@@ -153,4 +152,88 @@ fn a_request_that_waits_for_its_turn_keeps_its_row_and_is_stamped_when_it_leaves
     assert_eq!(record.jitter_ns, measured(200 * US));
     assert_eq!(position(x.fed_unsent()), Some(0.03));
     assert_eq!(x.slot.counters.unsent, unsent.unsent);
+}
+
+/// A cycle of `x` with this exchange and report, by the way of each usual cycle or by that of all others; everything
+/// that it has led to.
+fn evaluated(x: &mut Alone, usually: bool, exchange: Exchange, change: &dyn Fn(&mut Slot)) -> String {
+    x.index += 1;
+    let cycle = cycle(x.index);
+    let now = cycle.grid + 300 * US;
+    x.slot.exchange = exchange;
+    change(&mut x.slot);
+    let reply = match usually {
+        true => x.controller.evaluate_received(&cycle, now, &mut x.slot),
+        false => x.controller.evaluate_otherwise(&cycle, now, &mut x.slot),
+    };
+    let reported = x.reported();
+    let DriveController { measured, largest, largest_in, health, rising, watch, feedback, machine, .. } =
+        &x.controller;
+    let parts = (measured, largest, largest_in, health, rising, watch, feedback, machine);
+    let led_to = format!("{reply:?} {parts:?} {:?} {reported:?}", x.slot);
+    x.controller.publish(0, &mut false);
+    led_to
+}
+
+#[test]
+fn the_way_of_a_usual_cycle_leads_to_the_same_as_that_of_all_others() {
+    for seed in 0..200 {
+        let mut random = fastrand::Rng::with_seed(seed);
+        let mut limited = plan();
+        limited.limits.velocity = Some(500.0);
+        let mut both = [0, 1].map(|_| match seed % 3 {
+            0 => Alone::new(plan()).online(),
+            1 => Alone::new(limited.clone()).enabled(),
+            _ => {
+                let mut x = Alone::of(limited.clone(), Capabilities { power_reports: 2, ..can() }).enabled();
+                x.post(Command::Follow);
+                x.turns(3);
+                x.reported();
+                x
+            }
+        });
+        // An enable that has failed may still bring power on.
+        let rising = random.u8(..3);
+        both.iter_mut().for_each(|x| x.controller.rising = rising);
+        let mut position = 0.0;
+        for turn in 0..200 {
+            let now = Time((both[0].index + 1) * MS);
+            let at = now + random.u64(..200) * US;
+            let exchange = match random.u8(..30) {
+                0 => Exchange::Absent { sent_at: now },
+                1 => Exchange::Answered { sent_at: now, at, suspect: true },
+                2..6 => Exchange::OwnClock { sent_at: now, fresh_until: now + random.u64(..2) },
+                _ => Exchange::Answered { sent_at: now + random.u64(..2) * US, at, suspect: false },
+            };
+            let fresh = !matches!(exchange, Exchange::Absent { .. }) && random.u8(..20) > 0;
+            position += random.f64() * if random.u8(..40) == 0 { 50.0 } else { 0.3 };
+            let rare = random.u8(..60);
+            let change = |slot: &mut Slot| {
+                (slot.notices.fresh, slot.status.at) = (fresh, at);
+                (slot.status.position, slot.status.demand) = (position, position);
+                (slot.evidence.position, slot.evidence.demand) = (position, position);
+                slot.status.suspect = matches!(exchange, Exchange::Answered { suspect: true, .. });
+                slot.status.warning = (rare == 1).into();
+                match rare {
+                    2 => slot.notices.restarted = true,
+                    3 => slot.notices.other_master = seed % 2 == 0,
+                    4 => (slot.status.monitor[1], slot.notices.monitor_fresh) = (Some(position), true),
+                    5 => slot.notices.report(Emergency { code: 1, register: 2 }),
+                    6 => slot.notices.refuse_monitor(1, 2),
+                    7 => slot.reachable = true,
+                    8 => slot.status.homed ^= true,
+                    9 => slot.status.sto_open ^= true,
+                    10 => slot.status.velocity = f64::NAN,
+                    11 => slot.status.velocity = 1e6,
+                    12 => slot.status.state = State::SwitchedOn,
+                    13 => slot.status.state = State::OperationEnabled,
+                    14 => slot.status.fault = 7,
+                    _ => {}
+                }
+            };
+            let [one, other] = &mut both;
+            let usual = evaluated(one, true, exchange, &change);
+            assert_eq!(usual, evaluated(other, false, exchange, &change), "seed {seed}, turn {turn}");
+        }
+    }
 }
