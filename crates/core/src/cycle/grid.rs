@@ -53,7 +53,11 @@ impl Grid {
     /// How many slots, from the current one on, can no longer be executed at `now` if a slot may begin up to
     /// `tolerance_ns` late.
     pub fn passed(&self, now: Time, tolerance_ns: u64) -> u64 {
-        now.since(self.at + tolerance_ns).div_ceil(self.period_ns)
+        match now.since(self.at + tolerance_ns) {
+            // Without a division in the usual cycle.
+            0 => 0,
+            late_ns => late_ns.div_ceil(self.period_ns),
+        }
     }
 
     /// How many slots the grid has laid out before the current one: from the instants and the steps, not from a

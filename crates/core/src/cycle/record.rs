@@ -201,6 +201,7 @@ impl Lateness {
 impl CycleRecord {
     /// Whether this cycle is late, by more than `late_ns`, with replies taken until `deadline_ns` after the grid
     /// point. The longest of its delays is named: the others follow from it.
+    #[inline]
     pub fn lateness(&self, late_ns: u64, deadline_ns: u64) -> Option<Lateness> {
         let wake_ns = u64::from(self.wake_ns);
         let mut delays = self.stages_ns.map(u64::from);

@@ -172,14 +172,22 @@ impl InputLog {
     pub fn value(&self, usual: u64, found: u64) -> u64 {
         match self.mode() {
             None => found,
-            Some(Mode::Recording(recording)) => {
+            Some(mode) => self.logged_value(mode, usual, found),
+        }
+    }
+
+    /// The same with a log.
+    #[inline(never)] // What looks without one saves no registers for it.
+    fn logged_value(&self, mode: &Mode, usual: u64, found: u64) -> u64 {
+        match mode {
+            Mode::Recording(recording) => {
                 match found == usual {
                     true => recording.nothing(),
                     false => recording.entry(Kind::Value, &[self.source.into(), found], &[]),
                 }
                 found
             }
-            Some(Mode::Replaying(replaying)) => replaying.part(self.source).unwrap_or(usual),
+            Mode::Replaying(replaying) => replaying.part(self.source).unwrap_or(usual),
         }
     }
 
@@ -194,7 +202,15 @@ impl InputLog {
     pub fn part<T: Part>(&self, found: Option<T>) -> Option<T> {
         match self.mode() {
             None => found,
-            Some(Mode::Recording(recording)) => {
+            Some(mode) => self.logged_part(mode, found),
+        }
+    }
+
+    /// The same with a log.
+    #[inline(never)] // As that of a value.
+    fn logged_part<T: Part>(&self, mode: &Mode, found: Option<T>) -> Option<T> {
+        match mode {
+            Mode::Recording(recording) => {
                 match &found {
                     None => recording.nothing(),
                     Some(part) => with_words(self.source.into(), part, |words| {
@@ -203,7 +219,7 @@ impl InputLog {
                 }
                 found
             }
-            Some(Mode::Replaying(replaying)) => replaying.part(self.source),
+            Mode::Replaying(replaying) => replaying.part(self.source),
         }
     }
 
