@@ -12,9 +12,9 @@ use fieldbeat_core::rt::Regions;
 use fieldbeat_core::time::Time;
 
 /// One exchange of so many may be a call, while the drive is on ...
-const EVERY_ON: u32 = 4;
+const EVERY_ON: u8 = 4;
 /// ... and while it is off.
-const EVERY_OFF: u32 = 2;
+const EVERY_OFF: u8 = 2;
 
 /// Bytes of all parameters that one request reads or writes.
 const BLOCK: usize = 2 * REGISTERS_MAX as usize;
@@ -60,12 +60,10 @@ const fn is_harmless(parameter: Parameter) -> bool {
         )
 }
 
-/// The calls to one drive. What each exchange touches comes first: it lies on one line of the cache.
+/// The calls to one drive. What each preparation touches comes first: it lies on one line of the cache.
 #[derive(Debug)]
-#[repr(C, align(64))]
+#[repr(C)]
 pub(super) struct Calls {
-    /// Exchanges since the last call.
-    since: u32,
     /// Calls that command the drive are refused at present.
     guarded: bool,
     /// None is under way, nor may one that commands the drive still be carried out.
@@ -90,7 +88,7 @@ struct Active {
 impl Calls {
     pub(super) fn new(port: Port, addressing: Addressing) -> Calls {
         let calls = bus::Calls::new(port, UNREACHABLE, UNREACHABLE);
-        Calls { since: 0, guarded: false, is_idle: true, addressing, calls, active: None }
+        Calls { guarded: false, is_idle: true, addressing, calls, active: None }
     }
 
     /// Adds what it touches besides itself, to be locked.
@@ -98,14 +96,16 @@ impl Calls {
         self.calls.memory(regions);
     }
 
-    /// Starts the next call, and ends the finished one. Whether the next exchange may be the call's, and whether one
-    /// that commands the drive is under way. Those that command a `guarded` drive are refused.
+    /// Starts the next call, and ends the finished one. Whether the next exchange may be the call's, with so many
+    /// `since` the last call's, and whether one that commands the drive is under way. Those that command a `guarded`
+    /// drive are refused.
     #[inline]
     pub(super) fn advance(
         &mut self,
         now: Time,
         link: Link,
         on: impl FnOnce() -> bool,
+        since: u8,
         guarded: bool,
     ) -> (bool, bool) {
         if guarded != self.guarded {
@@ -116,7 +116,7 @@ impl Calls {
         if self.is_idle && self.calls.is_empty() {
             return (false, false);
         }
-        let may_leave = self.go_on(now, link, on());
+        let may_leave = self.go_on(now, link, since, on());
         self.note();
         (may_leave, self.commands())
     }
@@ -127,7 +127,7 @@ impl Calls {
     }
 
     #[inline(never)]
-    fn go_on(&mut self, now: Time, link: Link, on: bool) -> bool {
+    fn go_on(&mut self, now: Time, link: Link, since: u8, on: bool) -> bool {
         let online = !matches!(link, Link::Unseen | Link::Lost);
         if !online {
             self.calls.refuse_all(CallError::NotOnline);
@@ -149,7 +149,7 @@ impl Calls {
             }
         }
         let every = if on { EVERY_ON } else { EVERY_OFF };
-        self.active.is_some_and(|active| !active.sent) && self.since + 1 >= every
+        self.active.is_some_and(|active| !active.sent) && since >= every - 1
     }
 
     /// A call that needs a request; `None`: it has none.
@@ -189,11 +189,9 @@ impl Calls {
         Some((unit, Request::Write { address, data: data.registers() }))
     }
 
-    /// An exchange went out; the active call's, or a cyclic one.
-    #[inline]
-    pub(super) fn sent(&mut self, call: bool) {
-        self.since = if call { 0 } else { self.since.saturating_add(1) };
-        if call && let Some(active) = &mut self.active {
+    /// The exchange of the active call went out.
+    pub(super) fn sent(&mut self) {
+        if let Some(active) = &mut self.active {
             active.sent = true;
         }
     }

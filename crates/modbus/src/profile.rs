@@ -5,6 +5,8 @@
 //!
 //! Sources: SI-PROFIBUS guide, control word 06.042 and status word 10.040.
 
+use std::num::NonZeroU64;
+
 use super::echo::Echo;
 use super::native::{NativeOutput, NativePort};
 use super::plan::UnidriveDrive;
@@ -35,9 +37,8 @@ const NOT_OBEYING: &str = "it does not follow the control word: Pr 06.043 has to
 const NOT_WATCHED: &str = "its watchdog is not set, nothing would stop it if the master dies: look at Pr \
      S.15.009 and watchdog, or no_drive_watchdog = \"accept\"";
 
-/// The drive's last report, and the values that it has acknowledged. What each exchange touches comes first.
+/// The drive's last report, and the values that it has acknowledged.
 #[derive(Clone, Copy, Debug, Default)]
-#[repr(C)]
 pub(super) struct Inputs {
     /// What it has of the written control word, and of the reference.
     pub control: Echo,
@@ -51,10 +52,6 @@ pub(super) struct Inputs {
     pub named: bool,
     /// It is commanded to run, and its power stage stays off, or has switched off.
     pub dark: bool,
-    /// Since when the drive has the control word that it has accepted.
-    pub control_since: Time,
-    /// The drive tripped at this instant.
-    pub tripped_at: Option<Time>,
 }
 
 impl Inputs {
@@ -151,6 +148,10 @@ impl State {
     }
 }
 
+/// A revision of the state, counted from 1.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Proved(NonZeroU64);
+
 /// Whether the drive follows the control word, and something stops it if the master dies, or nothing needs to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum SetUp {
@@ -162,15 +163,20 @@ enum SetUp {
     Lacking { obeys: bool },
 }
 
-/// The profile of one drive. What each exchange touches comes first.
+/// The profile of one drive. What each exchange touches comes last, with the revisions at the end of `state`.
 #[derive(Debug)]
-#[repr(C, align(64))]
+#[repr(C)]
 pub(super) struct Profile {
+    /// The intents of the last request that had left when the newest status was read: a speed may come later.
+    at_status: (u64, u64),
+    state: Prepared<State>,
     /// Raw reference for one user unit/s; negative if the axis is inverted.
     raw_per_velocity: f64,
     /// The values of the prepared request.
     outputs: Outputs,
-    state: Prepared<State>,
+    /// The direction that a drive which goes on following setpoints turns in, as the request was built last; `None`: it
+    /// follows none.
+    goes_on: Option<Option<bool>>,
     /// It has accepted all that has left.
     taken: bool,
     /// Something stops the drive if the master dies once it is set up, or nothing needs to.
@@ -178,8 +184,6 @@ pub(super) struct Profile {
     set_up: SetUp,
     /// The bits of the control word while the drive is to be on.
     on: u16,
-    /// The intents of the last request that had left when the newest status was read: a speed may come later.
-    at_status: (u64, u64),
 }
 
 /// What a drive can do.
@@ -223,6 +227,7 @@ impl Profile {
             watchable: drive.watchdog.within_ns().is_some() || drive.watchdog.accept_none,
             state: Prepared::new(state),
             outputs: Outputs::default(),
+            goes_on: None,
             at_status: (0, 0),
             taken: false,
         }
@@ -235,9 +240,8 @@ impl Profile {
             return false;
         }
         let raw = desired.setpoint.velocity * self.raw_per_velocity;
-        let state = self.state.left();
         // Of a drive that goes on turning in its direction, or standing, only the speed is new.
-        if self.state.holds(desired.revision()) && state.follows() && state.turning == turning(raw) {
+        if self.state.holds(desired.revision()) && self.goes_on == Some(turning(raw)) {
             self.outputs.reference = rounded(raw.abs());
         } else {
             self.build(desired, raw, inputs, native);
@@ -270,6 +274,8 @@ impl Profile {
             }
             self.outputs = state.native.unwrap_or(self.outputs);
         }
+        // A request that changes the direction does not hold once it has left.
+        self.goes_on = state.follows().then_some(state.turning);
     }
 
     /// The values of the request that was built last.
@@ -363,8 +369,13 @@ impl Profile {
     /// The next request has to carry this: nothing of it was sent yet.
     #[inline]
     pub(super) fn is_new(&self) -> bool {
-        let left = self.state.left();
-        left.is_refused || self.state.is_proposed() && self.state.proposed().serials != left.serials
+        self.state.left().is_refused || self.is_ahead()
+    }
+
+    /// Something of what is desired was built, and nothing of it was sent yet.
+    #[inline]
+    fn is_ahead(&self) -> bool {
+        self.state.is_proposed() && self.state.proposed().serials != self.state.left().serials
     }
 
     /// The drive refused the request as a whole: what it wrote has to go out again.
@@ -386,20 +397,25 @@ impl Profile {
     /// As long as this is the revision of its state, a report proves the same as the last one, if the drive has
     /// accepted all that was written, and has the same status. `None`: the last one did not prove it.
     #[inline]
-    pub(super) fn proved(&self) -> Option<u64> {
-        (self.taken && !self.is_native()).then(|| self.state.revision())
+    pub(super) fn proved(&self) -> Option<Proved> {
+        if self.taken && !self.is_native() { self.revision() } else { None }
     }
 
-    /// A report proves the same as the one that has proved this revision.
     #[inline]
-    pub(super) fn proves_again(&self, proved: Option<u64>, inputs: &Inputs) -> bool {
-        self.is_revision(proved) && !self.is_new() && self.has_taken(inputs)
+    fn revision(&self) -> Option<Proved> {
+        NonZeroU64::new(self.state.revision() + 1).map(Proved)
+    }
+
+    /// A report proves the same as the one that has proved this revision, which no refused request has.
+    #[inline]
+    pub(super) fn proves_again(&self, proved: Option<Proved>, inputs: &Inputs) -> bool {
+        self.is_revision(proved) && !self.is_ahead() && self.has_taken(inputs)
     }
 
     /// This is the revision of its state.
     #[inline]
-    pub(super) fn is_revision(&self, proved: Option<u64>) -> bool {
-        proved == Some(self.state.revision())
+    pub(super) fn is_revision(&self, proved: Option<Proved>) -> bool {
+        proved == self.revision()
     }
 
     /// RUN was written.
@@ -427,9 +443,10 @@ impl Profile {
         }
     }
 
-    /// The drive was commanded to run and has accepted it, for as long as it needs.
-    pub(super) fn should_be_active(&self, now: Time, inputs: &Inputs) -> bool {
-        self.runs() && inputs.runs() && now.since(inputs.control_since) > ACTIVE_WITHIN_NS
+    /// The drive was commanded to run, and has had the control word that it has accepted since `control_since`: for as
+    /// long as it needs.
+    pub(super) fn should_be_active(&self, now: Time, inputs: &Inputs, control_since: Time) -> bool {
+        self.runs() && inputs.runs() && now.since(control_since) > ACTIVE_WITHIN_NS
     }
 
     /// The drive has lost its commands: no earlier value is written again.
@@ -457,8 +474,8 @@ impl Profile {
             && inputs.reference.taken() == Some(self.outputs.reference)
     }
 
-    /// What a report proves.
-    pub(super) fn prove(&mut self, inputs: &Inputs, evidence: &mut Evidence) {
+    /// What a report proves of a drive that has tripped at `tripped_at`.
+    pub(super) fn prove(&mut self, inputs: &Inputs, tripped_at: Option<Time>, evidence: &mut Evidence) {
         let State { serials: (power, motion), is_refused, not_taken, .. } = *self.state.left();
         let taken = !self.is_new() && self.at_status == (power, motion) && self.has_taken(inputs);
         self.taken = taken;
@@ -482,7 +499,7 @@ impl Profile {
         evidence.fault = FaultIs {
             active: inputs.seen && !inputs.status.healthy(),
             named: inputs.named,
-            resettable: inputs.tripped_at.map_or(Resettable::Now, reset_at),
+            resettable: tripped_at.map_or(Resettable::Now, reset_at),
         };
     }
 }

@@ -21,7 +21,7 @@ pub(super) struct ReadWrite {
     /// Connections that ended with such a suspicion.
     silences: u8,
     /// How often it was given up.
-    given_up: u64,
+    given_up: u16,
 }
 
 /// After so many FC23 is given up: a server may answer nothing any more after a request that it does not know.
@@ -41,7 +41,7 @@ impl ReadWrite {
 
     /// How often it was given up so far.
     #[inline]
-    pub(super) fn given_up(&self) -> u64 {
+    pub(super) fn given_up(&self) -> u16 {
         self.given_up
     }
 
@@ -99,7 +99,7 @@ impl ReadWrite {
     fn give_up(&mut self) -> bool {
         let gives_up = self.used && !self.fixed;
         self.used &= !gives_up;
-        self.given_up += u64::from(gives_up);
+        self.given_up = self.given_up.saturating_add(gives_up.into());
         gives_up
     }
 }

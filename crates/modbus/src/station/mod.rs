@@ -13,6 +13,7 @@ mod report;
 mod request;
 mod turns;
 
+use std::mem::offset_of;
 use std::sync::Arc;
 
 use self::turns::{Cyclic, Turns};
@@ -25,7 +26,7 @@ use super::native::{Also, Native, NativePort, native};
 use super::other::OtherMaster;
 use super::pace::Pace;
 use super::plan::UnidriveDrive;
-use super::profile::{Inputs, Outputs, Profile};
+use super::profile::{Inputs, Outputs, Profile, Proved};
 use super::read_write::ReadWrite;
 use super::setup::{Purpose, Setting, settings};
 use super::wire::ADU_MAX;
@@ -48,37 +49,53 @@ const MOST_REFUSALS: u8 = 3;
 /// other parameters away.
 const MOST_REPEATED: u8 = 3;
 
-/// One drive as the master sees it. What each exchange touches comes first: it lies on a few lines of the cache.
+/// One drive as the master sees it. What each exchange touches is on as few lines of the cache as possible, a few of
+/// them in each stage; what else there is fills the lines between them.
 #[derive(Debug)]
 #[repr(C, align(64))]
 pub struct Station {
     /// Its ids go on with the next connection.
     identity: Identity,
-    pace: Pace,
     /// The slot of the grid that the prepared request is for.
     grid: Time,
     connected: bool,
     /// An exchange was owed as the next request was prepared, or has left since: none is due.
     pub(super) passed: bool,
+    end: End,
+    /// Exchanges since the last call.
+    since_call: u8,
     /// The control word sent last, on whatever connection.
     control_sent: Option<ControlWord>,
     conn: Connection,
-    profile: Profile,
-    calls: Calls,
+    /// The end waits until then at the latest.
+    end_by: Time,
+    pace: Pace,
     reply_within_ns: u64,
     /// A window of this length is followed by so much time for a reply, in whole periods; at first it is longer
     /// than any.
     window_ns: u64,
     beyond_ns: u64,
+    native: NativePort,
+    profile: Profile,
+    functions: ReadWrite,
+    calls: Calls,
+    /// The settings that make the drive follow the control word and watch it: written with the first command that
+    /// needs them.
+    settings: Box<[Setting]>,
+    log: InputLog,
+    /// The blocks at the parameters' own addresses or those of menu 0, as the drive shows them.
+    turns: Turns,
+    /// The request that was built last.
+    room: [u8; ADU_MAX],
+    also: Also,
+    found: Arc<Found>,
     /// User units/s of one count of the speed feedback.
     velocity_per_count: f64,
     /// The monitored channels, and the counts in one unit of each.
     shown: Box<[(usize, f64)]>,
-    inbox: Box<[u8]>,
-    end: End,
-    functions: ReadWrite,
-    /// The blocks at the parameters' own addresses or those of menu 0, as the drive shows them.
-    turns: Turns,
+    inbox: [u8; ROOM],
+    /// The blocks that the drive does not show.
+    others: Option<Turns>,
     shows_menu_0: bool,
     /// It reports the numbers of its trips.
     reports_trips: bool,
@@ -87,34 +104,13 @@ pub struct Station {
     opened_before: bool,
     /// The control word that the drive accepted last, or had at first, on whatever connection.
     control_taken: Option<ControlWord>,
-    native: NativePort,
-    also: Also,
-    /// The request that was built last.
-    room: Room,
-    /// The settings that make the drive follow the control word and watch it: written with the first command that
-    /// needs them.
-    settings: Box<[Setting]>,
-    /// The blocks that the drive does not show.
-    others: Option<Turns>,
-    found: Arc<Found>,
-    log: InputLog,
 }
 
-/// The bytes of a request, on as few lines of the cache as possible.
-#[derive(Debug)]
-#[repr(align(64))]
-struct Room([u8; ADU_MAX]);
-
 /// What begins anew with each connection: the drive's values are not known until they are read back, nor its state
-/// until it reports again. What each exchange touches comes first.
+/// until it reports again.
 #[derive(Debug, Default)]
 #[repr(C)]
 struct Connection {
-    /// The open request, when it was sent, and the values that it writes; and the prepared one.
-    requested: What,
-    requested_at: Time,
-    written: Outputs,
-    prepared: What,
     /// Length of the prepared request, 0: there is none.
     length: u16,
     /// Length of the open one, and how much of it the wire has taken. The next one is built over it once all is
@@ -143,21 +139,47 @@ struct Connection {
     trip_read: bool,
     /// The prepared request is the only one of the cycle that there is.
     is_only: bool,
+    /// The open request, when it was sent, and the values that it writes; and the prepared one.
+    requested: What,
+    requested_at: Time,
+    written: Outputs,
+    prepared: What,
     inputs: Inputs,
+    /// The revision of the profile that the last report has proved. Another one proves the same, if the drive reports
+    /// the same status, and nothing was refused.
+    proved: Option<Proved>,
     /// Which of status and speed were read since the last report.
     seen: Places,
     was_active: bool,
-    finding: Finding,
+    /// The unit id of its answers, whether it follows control word and reference, and whether its time-out is set.
+    unit: u8,
+    obeys: bool,
+    watched: bool,
     other: OtherMaster,
-    image: Image,
-    /// The revision of the profile that the last report has proved. Another one proves the same, if the drive reports
-    /// the same status, and nothing was refused.
-    proved: Option<u64>,
-    /// Since when the drive is busy.
-    busy_since: Time,
+    /// Since when the drive has the control word that it has accepted.
+    control_since: Time,
+    /// The drive tripped at this instant.
+    tripped_at: Option<Time>,
     /// When the power stage was last off although the drive was commanded to run.
     dark_at: Option<Time>,
+    image: Image,
+    /// Since when the drive is busy.
+    busy_since: Time,
 }
+
+/// A line of the cache begins with each of these; and an odd number of lines lies between stations, so that not all are
+/// in the same sets of it.
+const _: () = {
+    const LINE: usize = 64;
+    assert!(offset_of!(Station, conn.requested).is_multiple_of(LINE));
+    assert!(offset_of!(Station, conn.inputs).is_multiple_of(LINE));
+    assert!(offset_of!(Station, conn.image).is_multiple_of(LINE));
+    assert!(offset_of!(Station, pace).is_multiple_of(LINE));
+    assert!(offset_of!(Station, calls).is_multiple_of(LINE));
+    assert!(offset_of!(Station, turns.reads).is_multiple_of(LINE));
+    assert!(offset_of!(Station, velocity_per_count).is_multiple_of(LINE));
+    assert!(!(size_of::<Station>() / LINE).is_multiple_of(2));
+};
 
 impl NativeInputs for Station {
     fn put(&self, since: Time, out: &mut NativeBytes) -> Option<Time> {
@@ -169,10 +191,10 @@ impl NativeInputs for Station {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum End {
     NotYet,
-    /// The drive has to be seen off, until this instant at the latest ...
-    Waiting(Time),
+    /// The drive has to be seen off ...
+    Waiting,
     /// ... then its time-out is disarmed.
-    Disarming(Time),
+    Disarming,
     Done,
 }
 
@@ -231,6 +253,7 @@ impl Station {
                 && (drive.watchdog.keypad || drive.watchdog.accept_none),
             settings: if drive.set_up { settings(drive, None).into() } else { Box::default() },
             end: End::NotYet,
+            end_by: Time(0),
             reply_within_ns: drive.reply_within_ns,
             window_ns: u64::MAX,
             beyond_ns: 0,
@@ -244,8 +267,9 @@ impl Station {
             passed: false,
             identity: Identity::default(),
             grid: Time(0),
-            room: Room([0; ADU_MAX]),
-            inbox: vec![0; ROOM].into(),
+            room: [0; ADU_MAX],
+            inbox: [0; ROOM],
+            since_call: 0,
             conn: Connection::default(),
             control_taken: None,
             control_sent: None,
@@ -255,7 +279,6 @@ impl Station {
 
     /// Adds what it touches besides itself, to be locked.
     pub(super) fn memory(&self, regions: &mut Regions) {
-        regions.add(&*self.inbox);
         regions.add(&*self.shown);
         self.native.memory(regions);
         self.also.memory(regions);
@@ -287,7 +310,8 @@ impl Station {
         };
         let unset = (self.settings.len() - self.settings.iter().take_while(is_met).count()) as u8;
         let settable = !self.settings.is_empty();
-        self.conn = Connection { finding, inputs, unset, settable, ..Connection::default() };
+        let Finding { unit, obeys, watched, .. } = finding;
+        self.conn = Connection { inputs, unset, settable, unit, obeys, watched, ..Connection::default() };
         self.tell_set_up();
         self.identity.reconnected();
         self.functions.reconnected();
@@ -302,7 +326,7 @@ impl Station {
         // Until it has accepted another one, this is no sign of a restart.
         self.control_taken = self.control_taken.or(Some(finding.control));
         slot.evidence.accepted = Accepted::default();
-        self.profile.prove(&self.conn.inputs, &mut slot.evidence);
+        self.profile.prove(&self.conn.inputs, None, &mut slot.evidence);
         slot.reachable = true;
         slot.counters.own[Own::SecondReplies as usize] += u64::from(finding.duplicates);
         slot.counters.own[Own::Exceptions as usize] += u64::from(finding.busy);
@@ -313,7 +337,7 @@ impl Station {
 
     /// The profile gets to know what the drive is set to.
     fn tell_set_up(&mut self) {
-        let Finding { watched, obeys, .. } = self.conn.finding;
+        let Connection { watched, obeys, .. } = self.conn;
         self.profile.found(watched || self.unwatched, obeys, self.conn.settable);
         self.conn.proved = None;
     }
@@ -382,15 +406,17 @@ impl Station {
 
     /// Starts or continues the orderly end: true once nothing more has to be sent to this drive.
     pub(super) fn shut_down(&mut self, cycle: &Cycle) -> bool {
-        let armed =
-            self.connected && self.conn.finding.watched && self.time_out().is_some() && self.profile.writes();
+        let armed = self.connected && self.conn.watched && self.time_out().is_some() && self.profile.writes();
         let off = self.conn.inputs.control() == Some(ControlWord::IDLE) && !self.conn.inputs.status.active();
         self.end = match self.end {
             // A drive that is still on keeps its watchdog.
             End::NotYet if !armed || self.profile.is_on() => End::Done,
-            End::NotYet => End::Waiting(cycle.deadline + DISARM_WITHIN * self.reply_within_ns),
-            End::Waiting(until) if off => End::Disarming(until),
-            End::Waiting(until) | End::Disarming(until) if !self.connected || cycle.grid > until => End::Done,
+            End::NotYet => {
+                self.end_by = cycle.deadline + DISARM_WITHIN * self.reply_within_ns;
+                End::Waiting
+            }
+            End::Waiting if off => End::Disarming,
+            End::Waiting | End::Disarming if !self.connected || cycle.grid > self.end_by => End::Done,
             same => same,
         };
         self.end == End::Done

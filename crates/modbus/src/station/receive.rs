@@ -19,7 +19,7 @@ const GARBAGE: Why = "the received bytes are not Modbus";
 impl Station {
     /// The room for what arrives.
     pub fn room(&mut self) -> &mut [u8] {
-        &mut self.inbox[usize::from(self.conn.filled)..]
+        self.inbox.get_mut(usize::from(self.conn.filled)..).unwrap_or_default()
     }
 
     /// So many bytes have arrived in it. An error: the connection has to be given up.
@@ -51,8 +51,8 @@ impl Station {
     /// Takes in what has arrived, message by message.
     #[inline(never)]
     fn take_messages(&mut self, at: Time, slot: &mut Slot) -> Result<(), Why> {
-        // Taken out of the station while it takes the messages in.
-        let mut inbox = std::mem::take(&mut self.inbox);
+        // Copied out of the station, which takes the messages in.
+        let inbox = self.inbox;
         let filled = usize::from(self.conn.filled);
         let mut rest = &inbox[..filled];
         // Each turn takes a message of eight bytes at least out of the room.
@@ -69,9 +69,9 @@ impl Station {
         };
         let left = rest.len();
         if left > 0 {
-            inbox.copy_within(filled - left..filled, 0);
+            self.inbox.copy_within(filled - left..filled, 0);
         }
-        (self.inbox, self.conn.filled) = (inbox, left as u16);
+        self.conn.filled = left as u16;
         if result.is_err() {
             slot.counters.malformed += 1;
             Own::Garbage.count(&mut slot.counters);
@@ -159,7 +159,7 @@ impl Station {
             return;
         }
         self.conn.busy = 0;
-        if let End::Disarming(_) = self.end {
+        if self.end == End::Disarming {
             // Refused or not: a repetition would have the same result.
             self.end = End::Done;
             return;
@@ -177,8 +177,8 @@ impl Station {
             self.conn.unset = (self.settings.len() - index - 1) as u8;
             let rest = &self.settings[index + 1..];
             let is_met = |purpose| !rest.iter().any(|setting| setting.purpose == purpose);
-            self.conn.finding.obeys = is_met(Purpose::Obey);
-            self.conn.finding.watched = is_met(Purpose::Watch) && self.time_out().is_some();
+            self.conn.obeys = is_met(Purpose::Obey);
+            self.conn.watched = is_met(Purpose::Watch) && self.time_out().is_some();
         }
         self.tell_set_up();
     }

@@ -134,7 +134,7 @@ impl Station {
         let control = self.conn.inputs.control();
         if control.is_some() && control != before {
             self.control_taken = control;
-            self.conn.inputs.control_since = at;
+            self.conn.control_since = at;
         }
     }
 
@@ -146,24 +146,25 @@ impl Station {
         let running = self.profile.runs() && self.conn.inputs.runs();
         let was_active = running && (self.conn.was_active || status.active());
         let off = status.healthy() && !status.active();
-        let dark = running && off && (was_active || self.profile.should_be_active(at, &self.conn.inputs));
+        let dark = running
+            && off
+            && (was_active || self.profile.should_be_active(at, &self.conn.inputs, self.conn.control_since));
         if self.conn.other.doubts(off && self.profile.runs(), dark) {
             return;
         }
-        let inputs = &mut self.conn.inputs;
-        (inputs.seen, inputs.status) = (true, status);
         self.profile.status_read();
+        let Connection { inputs, tripped_at, trip_read, image, .. } = &mut self.conn;
+        (inputs.seen, inputs.status) = (true, status);
         if status.healthy() {
             // The present name is that of the last trip.
-            (inputs.trip, inputs.tripped_at, self.conn.trip_read) = (0, None, false);
+            (inputs.trip, *tripped_at, *trip_read) = (0, None, false);
         } else {
             // A number that was read before this trip is that of another one.
-            self.conn.trip_read &= named || inputs.tripped_at.is_some();
-            inputs.tripped_at.get_or_insert(at);
-            let number = self.conn.image.of(Role::Trip).filter(|_| self.conn.trip_read);
-            inputs.trip = number.unwrap_or(0) as u16;
+            *trip_read &= named || tripped_at.is_some();
+            tripped_at.get_or_insert(at);
+            inputs.trip = image.of(Role::Trip).filter(|_| *trip_read).unwrap_or(0) as u16;
         }
-        inputs.named = self.conn.trip_read || !self.reports_trips;
+        inputs.named = *trip_read || !self.reports_trips;
         inputs.dark = dark;
         self.conn.was_active = was_active;
         if dark {
@@ -177,7 +178,7 @@ impl Station {
         self.turns(at, slot);
         let status = self.conn.inputs.status;
         let was_dark = self.conn.dark_at.is_some_and(|dark_at| at.since(dark_at) < DARK_NS);
-        self.profile.prove(&self.conn.inputs, &mut slot.evidence);
+        self.profile.prove(&self.conn.inputs, self.conn.tripped_at, &mut slot.evidence);
         let report = &mut slot.status;
         report.suspect = false;
         report.sto_open = was_dark && !status.active();

@@ -19,7 +19,8 @@ impl Station {
         let native = &mut self.native;
         let is_desired = self.profile.encode(&slot.desired, &self.conn.inputs, native);
         let profile = &self.profile;
-        let (calls, commanded) = self.calls.advance(cycle.grid, slot.link, || profile.is_on(), slot.guarded);
+        let (calls, commanded) =
+            self.calls.advance(cycle.grid, slot.link, || profile.is_on(), self.since_call, slot.guarded);
         if std::mem::replace(&mut slot.commanded, commanded) && !commanded {
             self.doubt_settings();
         }
@@ -31,15 +32,14 @@ impl Station {
         self.grid = cycle.grid;
         // A drive that does not follow the control word, and cannot be configured to, is only read. So is one that was
         // found restarted, until the loop has seen that: what is desired is what it was commanded before.
-        let is_written =
-            is_desired && (self.conn.finding.obeys || self.conn.settable) && !slot.notices.restarted;
+        let is_written = is_desired && (self.conn.obeys || self.conn.settable) && !slot.notices.restarted;
         let sets = self.end != End::NotYet || self.conn.unset > 0;
         if !self.conn.is_only || !is_written || calls || sets || self.conn.other.is_check_due() {
             let stands = slot.desired.setpoint.velocity == 0.0;
             return self.prepare_next(is_written, calls, sets, stands);
         }
         // There is nothing to choose: only the id and the values are new.
-        let (outputs, out) = (self.profile.outputs(), &mut self.room.0);
+        let (outputs, out) = (self.profile.outputs(), &mut self.room);
         self.conn.length = Cyclic::refill(self.identity.next(), outputs, out).into();
         self.profile.carries(true, true);
     }
@@ -47,7 +47,7 @@ impl Station {
     /// Chooses and builds the next request: a setting, a call, or one of the cycle.
     #[inline]
     fn prepare_next(&mut self, is_written: bool, calls: bool, sets: bool, stands: bool) {
-        let header = Header { transaction: self.identity.next(), unit: self.conn.finding.unit };
+        let header = Header { transaction: self.identity.next(), unit: self.conn.unit };
         let setting = if sets { self.next_setting() } else { None };
         let changes = is_written && self.conn.inputs.control() != Some(self.profile.outputs().control);
         let goes_first = || changes || is_written && self.profile.is_new();
@@ -59,7 +59,7 @@ impl Station {
         self.conn.is_only = false;
         if let What::Cyclic(cyclic) = &self.conn.prepared {
             self.conn.is_only = self.turns.is_only(cyclic);
-            self.conn.length = cyclic.emit(header, self.profile.outputs(), &mut self.room.0).into();
+            self.conn.length = cyclic.emit(header, self.profile.outputs(), &mut self.room).into();
             if cyclic.write.is_some() {
                 let (control, reference) = cyclic.writes();
                 return self.profile.carries(control, reference);
@@ -84,7 +84,7 @@ impl Station {
     fn doubt_settings(&mut self) {
         if self.conn.settable {
             self.conn.unset = self.settings.len() as u8;
-            (self.conn.finding.obeys, self.conn.finding.watched) = (false, false);
+            (self.conn.obeys, self.conn.watched) = (false, false);
             self.tell_set_up();
         }
     }
@@ -92,7 +92,7 @@ impl Station {
     /// The setting to write now, if there is one.
     #[inline(never)]
     fn next_setting(&self) -> Option<What> {
-        if let End::Disarming(_) = self.end {
+        if self.end == End::Disarming {
             return self.time_out().map(|index| What::Set { index: index as u8, value: 0 });
         }
         let index = self.settings.len().checked_sub(self.conn.unset.into())?;
@@ -104,9 +104,9 @@ impl Station {
     /// The blocks of the next cyclic request; `changes`: the control word is another one than the drive has.
     #[inline]
     fn choose(&self, is_written: bool, changes: bool, stands: bool) -> Cyclic {
-        let urgent = changes || self.profile.is_new();
+        let is_urgent = || changes || self.profile.is_new();
         if self.conn.other.is_check_due()
-            && !urgent
+            && !is_urgent()
             && let Some(read) = self.check(stands)
         {
             // Whether our values stand: what FC23 reads it has written itself.
@@ -117,10 +117,10 @@ impl Station {
         let read = confirming.or_else(|| self.turns.read(self.conn.turn));
         let write = if is_written { self.choose_write(changes) } else { None };
         // Without FC23 writing and reading take turns; an urgent one may go twice in a row.
-        let most = if urgent { 2 } else { 1 };
+        let most = || if is_urgent() { 2 } else { 1 };
         match write {
             Some(_) if self.functions.is_used() => Cyclic { write, read, confirms },
-            Some(_) if self.conn.written_in_a_row < most => Cyclic { write, read: None, confirms: false },
+            Some(_) if self.conn.written_in_a_row < most() => Cyclic { write, read: None, confirms: false },
             _ => Cyclic { write: None, read, confirms },
         }
     }
@@ -197,12 +197,12 @@ impl Station {
             What::Call | What::Cyclic(_) => self.calls.request(header.unit, &mut data),
         };
         let Some((unit, request)) = request else { return 0 };
-        request.emit(Header { unit, ..header }, &mut self.room.0)
+        request.emit(Header { unit, ..header }, &mut self.room)
     }
 
     /// The request that was sent last, without its header, as long as no newer one is built.
     pub(crate) fn sent_request(&self) -> &[u8] {
-        self.room.0.get(HEADER..self.conn.open.into()).unwrap_or_default()
+        self.room.get(HEADER..self.conn.open.into()).unwrap_or_default()
     }
 
     /// What came since the last request was built has changed what it was built from.
@@ -215,7 +215,7 @@ impl Station {
     #[inline]
     pub fn to_send(&self) -> &[u8] {
         match self.connected && !self.identity.is_open() {
-            true => self.room.0.get(..self.conn.length.into()).unwrap_or_default(),
+            true => self.room.get(..self.conn.length.into()).unwrap_or_default(),
             false => &[],
         }
     }
@@ -224,7 +224,7 @@ impl Station {
     #[inline]
     pub fn rest(&self) -> &[u8] {
         match self.connected && self.identity.is_open() {
-            true => self.room.0.get(self.conn.gone.into()..self.conn.open.into()).unwrap_or_default(),
+            true => self.room.get(self.conn.gone.into()..self.conn.open.into()).unwrap_or_default(),
             false => &[],
         }
     }
@@ -242,15 +242,15 @@ impl Station {
             Own::Pieces.count(&mut slot.counters);
         }
         (conn.open, conn.gone) = (conn.length, count as u16);
-        conn.requested_unit = match conn.prepared {
-            What::Cyclic(_) => conn.finding.unit,
-            What::Call | What::Set { .. } => self.room.0[HEADER - 1],
-        };
         self.identity.sent();
         (conn.requested, conn.requested_at, conn.written) = (conn.prepared, at, self.profile.outputs());
-        self.calls.sent(matches!(conn.requested, What::Call));
-        if let What::Cyclic(cyclic) = self.conn.requested {
-            self.blocks_sent(cyclic, slot);
+        self.since_call = self.since_call.saturating_add(1);
+        match conn.prepared {
+            What::Cyclic(cyclic) => {
+                conn.requested_unit = conn.unit;
+                self.blocks_sent(cyclic, slot);
+            }
+            What::Call | What::Set { .. } => self.other_sent(),
         }
         let window_ns = cycle.deadline.since(cycle.grid);
         if self.window_ns != window_ns {
@@ -264,9 +264,19 @@ impl Station {
         let reply_by = cycle.deadline + self.beyond_ns;
         let given_up = self.functions.given_up();
         if given_up > 0 {
-            slot.counters.own[Own::NoReadWrite as usize] = given_up;
+            slot.counters.own[Own::NoReadWrite as usize] = given_up.into();
         }
         slot.owe(at, reply_by, self.pace.awaited());
+    }
+
+    /// A call or a setting went out.
+    #[cold]
+    fn other_sent(&mut self) {
+        self.conn.requested_unit = self.room[HEADER - 1];
+        if matches!(self.conn.requested, What::Call) {
+            self.since_call = 0;
+            self.calls.sent();
+        }
     }
 
     /// These blocks went out.

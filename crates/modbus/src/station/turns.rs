@@ -40,13 +40,13 @@ pub(super) struct Cyclic {
 
 /// All blocks of a mapping.
 #[derive(Debug)]
-#[repr(C)] // Its blocks are used in each exchange.
+#[repr(C)] // What is used in each exchange comes last.
 pub(super) struct Turns {
+    mapping: Mapping,
     /// What is read, turn by turn.
     pub reads: Box<[Read]>,
     /// What is written; twice the same if all is in one block.
     pub writes: [Option<Write>; 2],
-    mapping: Mapping,
 }
 
 /// Byte `index` of a word.
