@@ -50,6 +50,12 @@ impl Echo {
         self.taken.then_some(self.written as i32)
     }
 
+    /// The drive has certainly accepted `value`.
+    #[inline]
+    pub(super) fn has_taken(&self, value: i32) -> bool {
+        self.taken && self.written == i64::from(value)
+    }
+
     /// A request that writes `value` goes out: whether it is answered or not, it may change what the drive has.
     #[inline]
     pub(super) fn sent(&mut self, value: i32) {

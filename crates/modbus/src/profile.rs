@@ -61,6 +61,18 @@ impl Inputs {
         self.control.taken().map(|count| ControlWord(count as u16))
     }
 
+    /// The drive has accepted these values.
+    #[inline]
+    pub(super) fn have(&self, outputs: Outputs) -> bool {
+        self.have_control(outputs) && self.reference.has_taken(outputs.reference)
+    }
+
+    /// The drive has accepted this control word.
+    #[inline]
+    pub(super) fn have_control(&self, outputs: Outputs) -> bool {
+        self.control.has_taken(outputs.control.0.into())
+    }
+
     /// It has accepted the command to run.
     pub(super) fn runs(&self) -> bool {
         self.control().is_some_and(|word| word.has_any(ControlWord::ANY_RUN))
@@ -353,7 +365,7 @@ impl Profile {
             Power::Shutdown => true,
             _ => !obeys && inputs.status.active(),
         };
-        is_wanted && self.has_taken(inputs)
+        is_wanted && inputs.have(self.outputs)
     }
 
     /// Something was written to it.
@@ -409,7 +421,7 @@ impl Profile {
     /// A report proves the same as the one that has proved this revision, which no refused request has.
     #[inline]
     pub(super) fn proves_again(&self, proved: Option<Proved>, inputs: &Inputs) -> bool {
-        self.is_revision(proved) && !self.is_ahead() && self.has_taken(inputs)
+        self.is_revision(proved) && !self.is_ahead() && inputs.have(self.outputs)
     }
 
     /// This is the revision of its state.
@@ -467,17 +479,10 @@ impl Profile {
         self.state.change(|state| state.not_taken = true);
     }
 
-    /// The drive has accepted the written values.
-    #[inline]
-    fn has_taken(&self, inputs: &Inputs) -> bool {
-        inputs.control() == Some(self.outputs.control)
-            && inputs.reference.taken() == Some(self.outputs.reference)
-    }
-
     /// What a report proves of a drive that has tripped at `tripped_at`.
     pub(super) fn prove(&mut self, inputs: &Inputs, tripped_at: Option<Time>, evidence: &mut Evidence) {
         let State { serials: (power, motion), is_refused, not_taken, .. } = *self.state.left();
-        let taken = !self.is_new() && self.at_status == (power, motion) && self.has_taken(inputs);
+        let taken = !self.is_new() && self.at_status == (power, motion) && inputs.have(self.outputs);
         self.taken = taken;
         let since = |serial: u64| match (taken, is_refused) {
             (true, _) => serial,

@@ -25,7 +25,7 @@ impl Station {
             && cyclic.is_both()
             && read.places().have(Places::FRONT)
             && self.profile.is_revision(self.conn.proved)
-            && inputs.control() == Some(written.control)
+            && inputs.have_control(*written)
             && (control as u16, reference) == (written.control.0, written.reference)
             && status as u16 == inputs.status.0
     }

@@ -49,7 +49,7 @@ impl Station {
     fn prepare_next(&mut self, is_written: bool, calls: bool, sets: bool, stands: bool) {
         let header = Header { transaction: self.identity.next(), unit: self.conn.unit };
         let setting = if sets { self.next_setting() } else { None };
-        let changes = is_written && self.conn.inputs.control() != Some(self.profile.outputs().control);
+        let changes = is_written && !self.conn.inputs.have_control(self.profile.outputs());
         let goes_first = || changes || is_written && self.profile.is_new();
         self.conn.prepared = match setting {
             Some(setting) => setting,
@@ -161,7 +161,7 @@ impl Station {
     /// The reference is another one than the drive has.
     #[inline]
     fn reference_changes(&self) -> bool {
-        self.conn.inputs.reference.taken() != Some(self.profile.outputs().reference)
+        !self.conn.inputs.reference.has_taken(self.profile.outputs().reference)
     }
 
     /// The value that differs from the drive's, the control word first; else each in its turn, for the drive's
