@@ -29,7 +29,7 @@ use fieldbeat_core::rt::Regions;
 use fieldbeat_core::time::Time;
 
 /// A wire and its drives.
-#[repr(C, align(64))] // What each turn touches comes first, up to the front of `line`.
+#[repr(C, align(64))] // What each turn touches is on two cache lines, and at the front of `line`.
 pub(super) struct ProfibusBus {
     /// The drives whose exchange is queued.
     queue: Queue,
@@ -37,7 +37,6 @@ pub(super) struct ProfibusBus {
     stations: Box<[Station]>,
     /// The shortest time from a turn of each drive to its next one, ns, and when that may begin; none: none has one.
     intervals: Box<[(u64, Time)]>,
-    upkeep: Upkeep,
     /// When the telegram under way began.
     began_at: Time,
     /// So many turns come before one may be acyclic again: each round has room for one.
@@ -47,17 +46,18 @@ pub(super) struct ProfibusBus {
     watchful: u16,
     /// The drive whose turn was last: what belongs to nobody is counted for it.
     last: u8,
-    line: Line,
-    /// The slot of the grid.
-    grid: Time,
+    upkeep: Upkeep,
     /// The drives that start up, a bit each.
     starting: u128,
+    /// The slot of the grid.
+    grid: Time,
+    end: End,
+    others: Others,
+    line: Line,
     /// The own slots of each drive: divisor and phase.
     own_slots: Vec<(u64, u64)>,
-    others: Others,
     /// When the port was opened.
     opened_at: Time,
-    end: End,
     /// Cycles that the end has waited for.
     waits: u32,
     notes: WireNotes,

@@ -157,9 +157,13 @@ pub(super) struct Line {
     known_at: Time,
     request: [u8; MAX],
     inbox: [u8; INBOX],
-    /// What so many bytes take on the wire, ns.
-    spans: [u32; SPANS],
+    spans: Spans,
 }
+
+/// What so many bytes take on the wire, ns: on as few lines of the cache as possible for the usual telegrams.
+#[derive(Debug)]
+#[repr(align(64))]
+struct Spans([u32; SPANS]);
 
 impl Line {
     pub(super) fn new(plan: &ProfibusPlan) -> Line {
@@ -198,14 +202,14 @@ impl Line {
             known_at: Time(0),
             request: [0; MAX],
             inbox: [0; INBOX],
-            spans: std::array::from_fn(|bytes| u32::try_from(line.span_ns(bytes)).unwrap_or(u32::MAX)),
+            spans: Spans(std::array::from_fn(|bytes| u32::try_from(line.span_ns(bytes)).unwrap_or(u32::MAX))),
         }
     }
 
     /// What so many bytes take on the wire.
     #[inline]
     fn span_ns(&self, bytes: usize) -> u64 {
-        self.spans.get(bytes).map_or_else(|| self.line.span_ns(bytes), |ns| (*ns).into())
+        self.spans.0.get(bytes).map_or_else(|| self.line.span_ns(bytes), |ns| (*ns).into())
     }
 
     /// Its own address.

@@ -52,17 +52,18 @@ impl Sign {
 
 /// The signs of other masters.
 #[derive(Debug)]
+#[repr(C)] // What each cycle looks at comes first.
 pub(super) struct Others {
+    /// The one that was found, and when it was last received.
+    found: Option<(u8, Time)>,
     /// By address, in the second that began then.
     weights: [u8; 128],
     since: Time,
-    /// The one that was found, and when it was last received.
-    found: Option<(u8, Time)>,
 }
 
 impl Others {
     pub(super) fn new() -> Others {
-        Others { weights: [0; 128], since: Time(0), found: None }
+        Others { found: None, weights: [0; 128], since: Time(0) }
     }
 
     /// A telegram of the master at `address` was received: whether there is such a master.

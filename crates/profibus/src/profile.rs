@@ -87,8 +87,9 @@ pub(super) struct Profile {
     is_steady: bool,
     /// The set point that was sent last.
     turning: i16,
-    /// Counts of one user unit/s; negative if the axis is inverted.
+    /// Counts of one user unit/s, and user units/s of one count; negative if the axis is inverted.
     scale: f64,
+    velocity_per_count: f64,
     /// New telegrams that were answered while something was not proved.
     answers: u64,
     power: Delivery,
@@ -152,6 +153,7 @@ impl Profile {
             is_steady: false,
             turning: 0,
             scale: drive.counts_per_velocity(),
+            velocity_per_count: 1.0 / drive.counts_per_velocity(),
             answers: 0,
             power: Delivery::default(),
             motion: Delivery::default(),
@@ -269,7 +271,9 @@ impl Profile {
     /// A new telegram was answered.
     #[inline]
     pub(super) fn answered(&mut self) {
-        self.answers += u64::from(!self.is_steady);
+        if !self.is_steady {
+            self.answers += 1;
+        }
     }
 
     /// The drive has left Data_Exchange: what is sent from now on is proved anew. `watched`: its watchdog is on, as far
@@ -307,6 +311,12 @@ impl Profile {
     #[inline]
     pub(super) fn is_sto_open(&self, status: u16) -> bool {
         self.enable_bit.is_some_and(|StatusBit { bit, set }| (status >> (bit & 0xF) & 1 != 0) != set)
+    }
+
+    /// The velocity of an actual value.
+    #[inline]
+    pub(super) fn velocity(&self, actual: i16) -> f64 {
+        f64::from(actual) * self.velocity_per_count
     }
 
     /// A set point other than 0 is on its way.

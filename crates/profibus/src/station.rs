@@ -92,7 +92,6 @@ pub struct Station {
     own: u8,
     start_up: StartUp,
     profile: Profile,
-    velocity_per_count: f64,
     native: NativePort,
     acyclic: Acyclic,
     /// Data_Exchange as it is sent next; its outputs behind the parameter channel where the application writes none.
@@ -117,7 +116,6 @@ impl Station {
         };
         word(0, inputs)?;
         word(0, outputs)?;
-        let scale = drive.counts_per_velocity();
         let [high, low] = drive.ident.to_be_bytes();
         let mut station = Station {
             grid: Time(0),
@@ -141,7 +139,6 @@ impl Station {
             own,
             start_up: StartUp::new(drive, own)?,
             profile: Profile::new(drive),
-            velocity_per_count: 1.0 / scale,
             native,
             acyclic: Acyclic::new(drive, port),
             telegram: Telegram::new(drive.address, own, outputs, inputs)?,

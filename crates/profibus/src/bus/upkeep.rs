@@ -5,6 +5,7 @@ use fieldbeat_core::time::Time;
 
 /// When each of them is due.
 #[derive(Debug)]
+#[repr(C)] // What each turn looks at comes first.
 pub(super) struct Upkeep {
     /// A drive is in Data_Exchange: Global_Control is sent.
     operates: bool,

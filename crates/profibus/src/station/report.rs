@@ -78,7 +78,7 @@ impl Station {
             self.read_anew(status, slot);
         }
         let report = &mut slot.status;
-        (report.at, report.velocity) = (at, f64::from(actual) * self.velocity_per_count);
+        (report.at, report.velocity) = (at, self.profile.velocity(actual));
         let turns = actual.unsigned_abs() >= self.moves_from || self.profile.is_turning();
         report.moving = report.state.is_powered() && turns;
         slot.notices.fresh = true;
