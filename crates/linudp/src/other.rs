@@ -14,19 +14,19 @@
 const COUNTS: usize = 16;
 /// A count that a request of this master has carried within so many exchanges is its own: no copy of a request arrives
 /// later.
-const OWN: u8 = 250;
+const OWN: u64 = 250;
 /// So many clean replies in a row with a count that is not explained are proof ...
 const REPLIES: u8 = 3;
 /// ... and so many that differ from one to the next, before any count was reported twice.
 const CHANGES: u8 = 5;
 
 /// The watch for another master's commands.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 pub(super) struct OtherMaster {
-    /// For each count the exchanges since a request carried it, as far as they are counted.
-    ages: [u8; COUNTS],
-    /// The count of the prepared request.
-    prepared: Option<u8>,
+    /// For each count the number of the exchange from which on it is not this master's own any more.
+    own_until: [u64; COUNTS],
+    /// The count of the newest motion command that was prepared.
+    prepared: u8,
     /// The count of the newest reply, and the one that is explained; `None`: the drive is not in operation, or has
     /// just come there.
     newest: Option<u8>,
@@ -35,24 +35,17 @@ pub(super) struct OtherMaster {
     strange: u8,
 }
 
-impl Default for OtherMaster {
-    fn default() -> OtherMaster {
-        OtherMaster { ages: [OWN; COUNTS], prepared: None, newest: None, stored: None, strange: 0 }
-    }
-}
-
 impl OtherMaster {
-    /// The next request carries a motion command with this count, or none.
-    pub(super) fn prepare(&mut self, count: Option<u8>) {
+    /// The next request carries a motion command with this count.
+    pub(super) fn prepare(&mut self, count: u8) {
         self.prepared = count;
     }
 
-    /// The prepared request has gone out.
-    #[inline]
-    pub(super) fn sent(&mut self) {
-        self.ages.iter_mut().for_each(|age| *age = age.saturating_add(1).min(OWN));
-        if let Some(age) = self.prepared.and_then(|count| self.ages.get_mut(usize::from(count))) {
-            *age = 0;
+    /// The prepared request, which carries a motion command, has gone out: it opens the exchange of this number.
+    #[cold]
+    pub(super) fn sent(&mut self, exchange: u64) {
+        if let Some(until) = self.own_until.get_mut(usize::from(self.prepared)) {
+            *until = exchange + OWN;
         }
     }
 
@@ -66,15 +59,16 @@ impl OtherMaster {
         self.strange == 0 && (self.newest.is_none() || self.newest == self.stored)
     }
 
-    /// A clean reply with this count; `None`: the drive is not in operation. True if it proves another master.
+    /// A clean reply with this count, when the newest exchange has this number; `None`: the drive is not in operation.
+    /// True if it proves another master.
     #[inline]
-    pub(super) fn take(&mut self, count: Option<u8>) -> bool {
+    pub(super) fn take(&mut self, count: Option<u8>, exchange: u64) -> bool {
         let before = std::mem::replace(&mut self.newest, count);
         let Some(count) = count else {
             (self.stored, self.strange) = (None, 0);
             return false;
         };
-        let own = self.ages.get(usize::from(count)).is_none_or(|age| *age < OWN);
+        let own = self.own_until.get(usize::from(count)).is_none_or(|until| exchange < *until);
         // Coming into operation, the drive has any count; a damaged reply does not show it twice.
         let met = self.stored.is_none() && before == Some(count);
         if own || met || self.stored == Some(count) {
@@ -95,21 +89,27 @@ impl OtherMaster {
 mod tests {
     use super::*;
 
+    /// The watch, and the number of the newest exchange.
+    type Watch = (OtherMaster, u64);
+
     /// A watch of a drive in operation with this count for a long time, and nothing under way.
-    fn idle(count: u8) -> OtherMaster {
-        let mut other = OtherMaster::default();
+    fn idle(count: u8) -> Watch {
+        let mut other = Watch::default();
         assert!((0..300).all(|_| !step(&mut other, None, Some(count))));
         other
     }
 
     /// An exchange: the count of the request, and that of the reply.
-    fn step(other: &mut OtherMaster, sent: Option<u8>, count: Option<u8>) -> bool {
-        other.prepare(sent);
-        other.sent();
-        other.take(count)
+    fn step((other, exchange): &mut Watch, sent: Option<u8>, count: Option<u8>) -> bool {
+        *exchange += 1;
+        if let Some(sent) = sent {
+            other.prepare(sent);
+            other.sent(*exchange);
+        }
+        other.take(count, *exchange)
     }
 
-    fn first(other: &mut OtherMaster, counts: impl IntoIterator<Item = u8>) -> Option<usize> {
+    fn first(other: &mut Watch, counts: impl IntoIterator<Item = u8>) -> Option<usize> {
         counts.into_iter().position(|count| step(other, None, Some(count)))
     }
 
@@ -157,10 +157,10 @@ mod tests {
 
     #[test]
     fn a_master_that_streams_is_seen_before_anything_is_written() {
-        let mut other = OtherMaster::default();
+        let mut other = Watch::default();
         assert_eq!(first(&mut other, (0..20).map(|n| n % 16)), Some(4));
         // A dead one has left its last count.
-        let mut other = OtherMaster::default();
+        let mut other = Watch::default();
         assert_eq!(first(&mut other, [7; 300]), None);
     }
 }

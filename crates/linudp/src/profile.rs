@@ -125,18 +125,19 @@ struct State {
     native_taken: u32,
 }
 
-/// The profile of one drive. What each exchange touches is the end of the state and what follows it.
+/// The profile of one drive. What each exchange touches is the end of the state and what follows it: the last
+/// [`TOUCHED`](Self::TOUCHED) bytes.
 #[derive(Debug)]
 #[repr(C)]
 pub(super) struct Profile {
+    /// For the last resort.
+    power_sent: PowerSent,
+    rules: Rules,
+    voltage: Voltage,
     state: Prepared<State>,
     /// The control word of the prepared request, which has no other block; no row follows it, and no native output.
     control: Option<ControlWord>,
     only_control: bool,
-    voltage: Voltage,
-    rules: Rules,
-    /// For the last resort.
-    power_sent: PowerSent,
 }
 
 /// What the plan says of the drive.
@@ -194,6 +195,9 @@ pub(super) fn capabilities(drive: &LinUdpDrive) -> Capabilities {
 }
 
 impl Profile {
+    /// The revisions of the state, and what follows them.
+    pub(super) const TOUCHED: usize = 40;
+
     pub(super) fn new(drive: &LinUdpDrive) -> Profile {
         let LinUdpDrive { axis, stream, sto_after, .. } = drive;
         Profile {

@@ -16,10 +16,12 @@ mod identity;
 mod report;
 mod serial;
 
+use std::mem::offset_of;
+
 pub(super) use self::serial::SerialNote;
 
-use self::identity::{Echo, Identity, Unrequested};
-use self::report::Track;
+use self::identity::{EarlierRequest, EarlierRequests, Echo, Identity, Unrequested};
+use self::report::{Counts, Turns};
 use self::serial::Identification;
 use super::counters::Own;
 use super::last::PowerSent;
@@ -44,45 +46,70 @@ use fieldbeat_core::time::Time;
 /// factory-fresh drives do not answer a telegram without any block (sheet, 1.3).
 const FULL_PROBE_EVERY: u8 = 4;
 
-/// One drive. What each exchange touches comes first, and so it does in the identity: it lies on a few lines of the
-/// cache.
+/// What follows begins a line of the cache.
+#[derive(Debug)]
+#[repr(align(64))]
+struct Line;
+
+/// Its bytes.
+const LINE: usize = align_of::<Line>();
+
+/// So many words before the profile let what each exchange touches of it begin a line.
+const BEFORE: usize = (LINE - (size_of::<Profile>() - Profile::TOUCHED) % LINE) % LINE / 8;
+
+/// No revision comes to this.
+const UNSETTLED: u64 = u64::MAX;
+
+/// One drive. What each exchange touches lies on four lines of the cache: the requests need the first one, from the end
+/// of the profile to the start of the identity, and the look for a call; the replies need the first one, and the two
+/// from `settled` to the start of `native`.
 #[derive(Debug)]
 #[repr(C, align(64))]
 pub struct Station {
-    /// The slot that the prepared request is for.
-    grid: Time,
-    /// Another clean reply with the same states changes nothing but positions, as long as this is the revision of the
-    /// profile.
-    settled: Option<u64>,
+    _before: [u64; BEFORE],
+    profile: Profile,
     /// The channel has nothing to send, and calls that command the drive are refused or not as it knows.
     idle: bool,
     guarded: bool,
     /// Each request has a count of its own.
     tagged: bool,
-    /// The drive reports variables.
-    shows: bool,
     /// The prepared request is a probe.
     probing: bool,
-    /// Probes that have gone out.
-    probes: u8,
-    /// So many cycles after that of its request a reply counts.
-    beyond: u8,
+    identity: Identity,
+    _replies: Line,
+    /// Another clean reply with the same states changes nothing but positions, as long as this is the revision of the
+    /// profile, or [`UNSETTLED`].
+    settled: u64,
+    inputs: Inputs,
+    /// The positions in the last clean reply, for velocities, if there was one since the drive started.
+    last: Counts,
+    units: Units,
+    has_last: bool,
     /// The last clean reply was the first one that says that the drive starts: the next one confirms it.
     starts: bool,
-    inputs: Inputs,
-    /// The code of its error, since the error is reported; `None`: not known yet.
-    error: Option<ErrorCode>,
-    other: OtherMaster,
-    units: Units,
-    track: Track,
-    identity: Identity,
+    /// The drive reports variables.
+    shows: bool,
     /// Which drive it is.
     who: Identification,
-    profile: Profile,
     native: NativePort,
+    _calls: Line,
     rtc: RtcChannel,
+    turns: Turns,
+    earlier: EarlierRequests,
+    other: OtherMaster,
     monitor: MonitorPlan,
+    /// The code of its error, since the error is reported; `None`: not known yet.
+    error: Option<ErrorCode>,
+    serial_note: NoteCells<SerialNote>,
+    /// Probes that have gone out.
+    probes: u8,
 }
+
+const _: () = {
+    assert!(offset_of!(Station, idle) % LINE == Profile::TOUCHED);
+    assert!(offset_of!(Station, identity) % LINE + Identity::TOUCHED <= LINE);
+    assert!(offset_of!(Station, native) - offset_of!(Station, settled) + 16 <= 2 * LINE);
+};
 
 impl Station {
     /// The station of `drive`, and the application's ends of its native process data and of its acyclic access.
@@ -94,28 +121,34 @@ impl Station {
         if shown {
             usual = usual.with(ResponseDef::MONITOR);
         }
+        let within = drive.replies_within() as u8;
         let station = Station {
-            identity: Identity::new(usual, drive.reply_tag, shown),
-            grid: Time(0),
-            inputs: Inputs::default(),
-            starts: false,
-            error: None,
-            settled: None,
+            _before: [0; BEFORE],
+            profile: Profile::new(drive),
             idle: false,
             guarded: false,
-            shows: shown,
             tagged: drive.reply_tag == ReplyTag::Count,
-            who: Identification::new(drive.serial),
             probing: false,
-            probes: 0,
-            beyond: drive.replies_within().saturating_sub(1) as u8,
+            identity: Identity::new(usual, drive.reply_tag, shown, within.saturating_sub(1)),
+            _replies: Line,
+            settled: UNSETTLED,
+            inputs: Inputs::default(),
+            last: Counts::default(),
             units: drive.axis.units,
-            track: Track::default(),
-            profile: Profile::new(drive),
-            other: OtherMaster::default(),
-            rtc: RtcChannel::new(port, drive.monitor.sources(), drive.replies_within() as u8),
+            has_last: false,
+            starts: false,
+            shows: shown,
+            who: Identification::new(drive.serial),
             native,
+            _calls: Line,
+            rtc: RtcChannel::new(port, drive.monitor.sources(), within),
+            turns: Turns::default(),
+            earlier: EarlierRequests::default(),
+            other: OtherMaster::default(),
             monitor: drive.monitor,
+            error: None,
+            serial_note: NoteCells::new(1),
+            probes: 0,
         };
         (station, application, ends)
     }
@@ -128,7 +161,7 @@ impl Station {
 
     /// Why it is not connected although it answers.
     pub(super) fn serial_note(&self) -> NoteCells<SerialNote> {
-        self.who.note()
+        self.serial_note.clone()
     }
 
     /// Adds what it touches besides itself, to be locked.
@@ -136,7 +169,7 @@ impl Station {
         self.native.memory(regions);
         self.rtc.memory(regions);
         self.profile.memory(regions);
-        self.who.note().memory(regions);
+        self.serial_note.memory(regions);
     }
 
     /// What the requests that left say of the drive's power.
@@ -146,9 +179,8 @@ impl Station {
 
     /// Builds the request of the next send in `out` and returns its length. Built again for the same send, it is
     /// the same: state that changes with every request changes in [`sent`](Self::sent).
-    #[inline]
+    #[inline(always)] // Of each drive and cycle.
     pub fn prepare(&mut self, cycle: &Cycle, slot: &mut Slot, out: &mut [u8]) -> usize {
-        self.grid = cycle.grid;
         let is_quiet = slot.link == Link::Online
             && !self.tagged
             && self.idle
@@ -175,9 +207,10 @@ impl Station {
     /// Writes the request, whose reply echoes this tag.
     #[inline]
     fn emit(&mut self, request: &Request, tag: Option<u8>, out: &mut [u8]) -> usize {
-        self.other.prepare(request.motion.map(|block| (block.header & 0xF) as u8));
-        let (request_def, response) = (request.definition(), request.response_def);
-        self.identity.prepared = Echo { request: request_def, response, tag };
+        if let Some(block) = &request.motion {
+            self.other.prepare((block.header & 0xF) as u8);
+        }
+        self.identity.prepared = Echo::new(request, tag);
         request.emit(out)
     }
 
@@ -227,16 +260,17 @@ impl Station {
     /// The request was handed to the wire.
     #[inline]
     pub fn sent(&mut self, sent_at: Time, cycle: &Cycle, slot: &mut Slot) {
-        let beyond = if self.identity.is_named() { self.beyond } else { 0 };
-        let reply_by = cycle.deadline + u64::from(beyond) * cycle.period_ns;
+        let reply_by = cycle.deadline + u64::from(self.identity.beyond()) * cycle.period_ns;
         self.identity.sent();
         if self.probing {
             self.probes = (self.probes + 1) % FULL_PROBE_EVERY;
         }
         slot.owe(sent_at, reply_by, true);
         self.profile.sent(&mut self.native);
-        slot.gone.grid = Some(self.grid);
-        self.other.sent();
+        slot.gone.grid = Some(cycle.grid);
+        if self.identity.requested.has_motion() {
+            self.other.sent(slot.counters.sent);
+        }
         if !self.idle {
             self.rtc.sent();
         }
@@ -246,7 +280,8 @@ impl Station {
     #[cold]
     pub fn owe(&mut self, slot: &mut Slot) {
         if let Exchange::Owed { sent_at, reply_by, .. } = slot.exchange {
-            self.identity.owe(sent_at, self.profile.carried());
+            let (echo, carried) = (self.identity.requested, self.profile.carried());
+            self.earlier.owe(EarlierRequest { echo, sent_at, carried });
             slot.earlier.owe(sent_at, reply_by);
             (slot.exchange, slot.has_earlier) = (Exchange::Idle, true);
         }
@@ -268,7 +303,9 @@ impl Station {
                 let suspect = self.identity.answered();
                 slot.exchange = Exchange::Answered { sent_at, at, suspect };
                 slot.counters.answered += 1;
-                slot.counters.suspect += u64::from(suspect);
+                if suspect {
+                    slot.counters.suspect += 1;
+                }
                 self.read(sent_at, at, &view, suspect, None, slot);
             }
             _ => self.unrequested(at, &view, in_window, slot),
@@ -282,7 +319,7 @@ impl Station {
         let is_owed = matches!(slot.exchange, Exchange::Owed { .. });
         if is_owed && in_window && self.identity.is_answered_by(view) {
             if !self.identity.answered() {
-                self.who.take(view.config());
+                self.who.take(view.config(), &self.serial_note);
             }
             return;
         }
@@ -290,10 +327,10 @@ impl Station {
             self.owe(slot);
         }
         if slot.has_earlier
-            && let Some((place, _)) = self.identity.earlier(view)
+            && let Some((place, _)) = self.earlier.find(view)
         {
-            if !self.identity.answer_earlier(place) {
-                self.who.take(view.config());
+            if !self.identity.answer_earlier(&mut self.earlier, place) {
+                self.who.take(view.config(), &self.serial_note);
             }
             return;
         }
@@ -306,18 +343,18 @@ impl Station {
 
     /// Whether a telegram answers an exchange of an earlier cycle. It is read if it is newer than the newest one.
     fn answers_earlier(&mut self, at: Time, view: &ResponseView<'_>, slot: &mut Slot) -> bool {
-        let Some((place, request)) = self.identity.earlier(view) else { return false };
+        let Some((place, request)) = self.earlier.find(view) else { return false };
         if !slot.earlier.answer(request.sent_at, at) {
             // Its time is over.
-            self.identity.forget(place);
+            self.earlier.forget(place);
             return false;
         }
-        let suspect = self.identity.answer_earlier(place);
+        let suspect = self.identity.answer_earlier(&mut self.earlier, place);
         slot.has_earlier = true;
         slot.counters.answered += 1;
         slot.counters.suspect += u64::from(suspect);
         Own::Behind.count(&mut slot.counters);
-        if self.track.is_newer(request.sent_at) {
+        if self.is_newer(request.sent_at) {
             self.read(request.sent_at, at, view, suspect, Some(request.carried), slot);
         }
         true

@@ -1,27 +1,24 @@
 //! An accepted reply: what it reports in user units, and what it proves.
 
-use super::Station;
+use super::{Station, UNSETTLED};
 use crate::plan::MonitorPlan;
 use crate::profile::{Carried, Inputs};
 use crate::wire::{Front, MainState, ResponseView, StateVar, StatusWord};
 use fieldbeat_core::axis::units::Unwrap;
-use fieldbeat_core::axis::{Link, State, Units};
+use fieldbeat_core::axis::{Link, State};
 use fieldbeat_core::bus::Slot;
 use fieldbeat_core::time::Time;
 
-/// The positions since the drive started: a new one begins when it boots.
+/// The turns of a rotary axis since the drive started.
 #[derive(Clone, Copy, Debug, Default)]
-#[repr(C)]
-pub(super) struct Track {
-    /// Of the last clean reply, for velocities.
-    last: Option<Counts>,
+pub(super) struct Turns {
     actual: Unwrap,
     demand: Unwrap,
 }
 
 /// Positions of one reply, unwrapped, 0.1 um.
-#[derive(Clone, Copy, Debug)]
-struct Counts {
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Counts {
     /// When the request left. The drive takes the positions when it has the request; the reply may be received any time
     /// later, where this computer is late.
     sent_at: Time,
@@ -29,27 +26,26 @@ struct Counts {
     demand: i64,
 }
 
-impl Track {
+impl Station {
     /// A reply to the request that left at `sent_at` is newer than the last one.
+    #[inline]
     pub(super) fn is_newer(&self, sent_at: Time) -> bool {
-        self.last.is_none_or(|last| sent_at > last.sent_at)
+        !self.has_last || sent_at > self.last.sent_at
     }
 
     /// The positions of the next reply.
     #[inline]
-    fn next(&mut self, sent_at: Time, front: &Front, units: &Units) -> Counts {
+    fn next(&mut self, sent_at: Time, front: &Front) -> Counts {
         // Only a modulo axis wraps around; on any other a corrupted value must not shift all later ones.
-        match units.modulo {
+        match self.units.modulo {
             None => Counts { sent_at, actual: front.actual.into(), demand: front.demand.into() },
             Some(_) => {
-                let (actual, demand) = (self.actual.next(front.actual), self.demand.next(front.demand));
-                Counts { sent_at, actual, demand }
+                let Turns { actual, demand } = &mut self.turns;
+                Counts { sent_at, actual: actual.next(front.actual), demand: demand.next(front.demand) }
             }
         }
     }
-}
 
-impl Station {
     /// The values of an accepted reply to the request that left at `sent_at`; newer ones have left since if that is
     /// given what it `carried`.
     #[inline(always)]
@@ -70,24 +66,21 @@ impl Station {
             && carried.is_none()
             && !slot.anew
             && !self.starts
-            && self.settled == Some(self.profile.revision());
+            && self.settled == self.profile.revision();
         if !settled && !self.watch_start(&front, suspect, slot) {
             return;
         }
+        let counts = self.next(sent_at, &front);
         let Slot { status: report, notices, evidence, .. } = &mut *slot;
-        let counts = self.track.next(sent_at, &front, &self.units);
         // A homing gives the positions another origin: that was no motion.
-        if let Some(last) = self.track.last
-            && sent_at > last.sent_at
-            && !suspect
-            && !rehomed
-        {
-            let rate = self.units.distance(1e9 / sent_at.since(last.sent_at) as f64);
+        let last = self.last;
+        if self.has_last && sent_at > last.sent_at && !suspect && !rehomed {
+            let rate = self.units.distance(1e9 / sent_at.since(last.sent_at).cast_signed() as f64);
             report.velocity = (counts.actual - last.actual) as f64 * rate;
             evidence.demand_velocity = (counts.demand - last.demand) as f64 * rate;
         }
         if !suspect {
-            self.track.last = Some(counts);
+            (self.last, self.has_last) = (counts, true);
         }
         self.inputs.demand = counts.demand;
         notices.fresh = true;
@@ -97,8 +90,12 @@ impl Station {
         report.position = self.units.folded(evidence.position);
         report.demand = self.units.folded(evidence.demand);
         // Blocks that this reply does not have are as in the last one that had them.
-        report.current = view.current().map_or(report.current, |current| f64::from(current) * 1e-3);
-        report.warning = view.warn().map_or(report.warning, |warning| u32::from(warning.0));
+        if let Some(current) = view.current() {
+            report.current = f64::from(current) * 1e-3;
+        }
+        if let Some(warning) = view.warn() {
+            report.warning = warning.0.into();
+        }
         if !settled {
             self.prove(at, view, &front, suspect, carried, slot);
         }
@@ -133,7 +130,7 @@ impl Station {
         }
         if booting || self.inputs.booting {
             // Earlier positions, and those reported while booting, are no base for differences.
-            self.track = Track::default();
+            (self.turns, self.has_last) = (Turns::default(), false);
             (slot.status.velocity, slot.evidence.demand_velocity) = (0.0, 0.0);
         }
         true
@@ -150,10 +147,10 @@ impl Station {
         carried: Option<Carried>,
         slot: &mut Slot,
     ) {
-        let Slot { status: report, notices, evidence, .. } = slot;
+        let Slot { status: report, notices, evidence, counters, .. } = slot;
         let Front { status, state, .. } = *front;
         if !suspect {
-            notices.other_master |= self.other.take(state.count());
+            notices.other_master |= self.other.take(state.count(), counters.sent);
         }
         let (foreign, booting) = (self.other.is_in_doubt(), is_booting(front));
         self.error = if status.error() { view.error().or(self.error) } else { None };
@@ -180,7 +177,7 @@ impl Station {
             && !status.error()
             && self.other.is_settled()
             && self.profile.is_settled();
-        self.settled = settled.then(|| self.profile.revision());
+        self.settled = if settled { self.profile.revision() } else { UNSETTLED };
     }
 
     /// The monitored values, and the answer on the real-time-config channel.

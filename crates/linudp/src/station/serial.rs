@@ -58,7 +58,6 @@ pub(super) struct Identification {
     known: Known,
     count: u8,
     unechoed: u8,
-    note: NoteCells<SerialNote>,
 }
 
 impl Identification {
@@ -66,11 +65,7 @@ impl Identification {
     pub(super) fn new(wanted: Option<Serial>) -> Identification {
         let wanted = wanted.filter(|wanted| wanted.number.is_some());
         let known = if wanted.is_none() { Known::Linked } else { Known::No };
-        Identification { wanted, known, count: 1, unechoed: 0, note: NoteCells::new(1) }
-    }
-
-    pub(super) fn note(&self) -> NoteCells<SerialNote> {
-        self.note.clone()
+        Identification { wanted, known, count: 1, unechoed: 0 }
     }
 
     /// It is the one, or may be any.
@@ -96,8 +91,8 @@ impl Identification {
         Some(RtcBlock::call(self.count, RtcCommand::READ_RAM, wanted.from.0, 0))
     }
 
-    /// A reply that can be no older one.
-    pub(super) fn take(&mut self, answer: Option<RtcBlock>) {
+    /// A reply that can be no older one. Why the drive is not the one goes into `note`.
+    pub(super) fn take(&mut self, answer: Option<RtcBlock>, note: &NoteCells<SerialNote>) {
         let Some(wanted) = self.wanted else { return };
         let Some(block) = answer.filter(|block| block.count() == self.count) else {
             self.unechoed += 1;
@@ -111,10 +106,10 @@ impl Identification {
             RtcStatus::Running | RtcStatus::Busy => return,
             // The answer to an earlier command with this count.
             _ if block.index() != wanted.from.0 => {}
-            RtcStatus::Refused(refusal) => self.note.set(0, SerialNote::Refused(refusal.code())),
-            _ if Some(block.value()) != wanted.number => self.note.set(0, SerialNote::Another(block.value())),
+            RtcStatus::Refused(refusal) => note.set(0, SerialNote::Refused(refusal.code())),
+            _ if Some(block.value()) != wanted.number => note.set(0, SerialNote::Another(block.value())),
             _ => {
-                self.note.set(0, SerialNote::None);
+                note.set(0, SerialNote::None);
                 self.known = Known::Fresh;
             }
         }
