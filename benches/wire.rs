@@ -374,7 +374,7 @@ impl Clocked {
         let length = self.station.prepare(&self.cycle, &mut self.slot, &mut self.packet);
         let length = length.expect("it is open");
         let packet = black_box(&self.packet[..length]);
-        self.station.sent(sent_at, &mut self.slot);
+        self.station.sent(sent_at, &self.cycle, &mut self.slot);
         commit(&mut self.machine, &mut self.slot);
         let bytes = paused(|| {
             self.drive.hear(packet);

@@ -233,7 +233,7 @@ impl Bus for EthernetIpBus {
         self.net.send(&mut self.outbox);
         for (index, (station, slot)) in self.stations.iter_mut().zip(slots.iter_mut()).enumerate() {
             match self.outbox.sent(index) {
-                Sent::At(at) => station.sent(at, slot),
+                Sent::At(at) => station.sent(at, cycle, slot),
                 Sent::Failed(_) | Sent::Posted => slot.unsent(),
                 Sent::Idle => {}
             }

@@ -12,9 +12,10 @@
 
 mod report;
 
+use std::mem::offset_of;
 use std::net::{Ipv4Addr, SocketAddrV4};
 
-use self::report::{Shown, Track};
+use self::report::{Shown, Turns};
 use super::counters::Own;
 use super::exchange::{Connection, LoopEnd, News, Outputs as Sends, Wish};
 use super::native::{Native, NativePort, publish};
@@ -35,19 +36,21 @@ const CLOSE_WITHIN_NS: u64 = fieldbeat_core::time::S;
 /// The number of a packet may be so far ahead of the last one, whatever time has passed.
 const LEAP: i32 = 3;
 
-/// One drive. What every exchange touches lies together: from the end of `profile` to the start of `native`.
+/// Bytes of a line of the cache.
+const LINE: usize = 64;
+
+/// So many words before the profile let what each exchange touches of it begin a line.
+const BEFORE: usize = (LINE - (size_of::<Profile>() - Profile::TOUCHED) % LINE) % LINE / 8;
+
+/// One drive. What every exchange touches lies on four lines of the cache, from the end of `profile` to the start of
+/// `native`. Our packets need the first one, up to the start of `open`.
 #[derive(Debug)]
 #[repr(C, align(64))]
 pub struct Station {
+    _before: [u64; BEFORE],
     profile: Profile,
-    /// The slot that the prepared packet is for.
-    grid: Time,
     /// The newest accepted packet counts until then. 0 = none was accepted on this connection.
     fresh_until: Time,
-    /// The connection has ended if no packet is accepted by then.
-    ends_at: Time,
-    /// A wish that the session could not take yet.
-    wish: Option<Wish>,
     /// Our packets on this connection.
     sent: u32,
     /// A packet is in the outbox for the next send.
@@ -56,30 +59,43 @@ pub struct Station {
     is_quiet: bool,
     /// The outbox has so many bytes, those of `packet` but for its numbers; 0: it has others.
     copied: u8,
+    /// There is a packet whose values were taken last.
+    has_last: bool,
     /// The connection that is open.
     open: Option<Open>,
+    /// The connection has ended if no packet is accepted by then.
+    ends_at: Time,
+    /// A wish that the session could not take yet.
+    wish: Option<Wish>,
     /// The sequence number and the count of the last accepted packet of the drive.
     sequence: u32,
     count: u16,
-    any: bool,
+    enable_input: Option<EnableInput>,
+    /// The number of the packet whose values were taken last.
+    last: u32,
+    /// So many outputs of the application have begun.
+    begun: u32,
     fresh_within_ns: u64,
     seen: Seen,
-    /// The number of the packet whose values were taken last, and the actual position in it, steps.
-    last: Option<u32>,
-    actual: f64,
     units: Units,
-    steps_per_encoder_count: Option<f64>,
+    /// The actual position in the packet whose values were taken last, steps.
+    actual: f64,
+    /// 0: it has no encoder.
+    steps_per_encoder_count: f64,
+    /// Of the encoder, so that both positions agree where they were last set to the same place, steps.
+    shift: f64,
+    /// Of the velocity in a packet, in user units/s.
+    velocity_per_count: f64,
     /// What was reported last besides.
     shown: Shown,
-    enable_input: Option<EnableInput>,
     native: NativePort,
     end: LoopEnd,
     /// The number of the last packet that was too far ahead.
     odd: Option<u32>,
     packet: Outgoing,
-    track: Track,
-    /// Of the velocity in a packet, in user units/s.
-    velocity_per_count: f64,
+    turns: Turns,
+    /// The packets of the connection that is open come at this interval, ns.
+    interval_ns: u64,
     /// No drive makes more steps in a ns.
     fastest: f64,
     first_within_ns: u64,
@@ -88,6 +104,12 @@ pub struct Station {
     last_incoming: Option<u32>,
     closing: Option<Closing>,
 }
+
+const _: () = {
+    assert!(offset_of!(Station, fresh_until) % LINE == Profile::TOUCHED);
+    assert!(offset_of!(Station, native) % LINE + 16 <= LINE);
+    assert!(offset_of!(Station, native) / LINE == offset_of!(Station, open) / LINE + 3);
+};
 
 /// How far the orderly end is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -109,8 +131,6 @@ struct Open {
     incoming: u32,
     source: Ipv4Addr,
     timeout_ns: u64,
-    /// They come at this interval, ns.
-    interval_ns: u64,
     /// A difference between two of them in a row by this is one in a second.
     rate: f64,
     /// No drive makes more steps in an interval.
@@ -123,33 +143,36 @@ impl Station {
         let (application, native) = native();
         let (native, end) = (native.logged(log), end.logged(log));
         let station = Station {
+            _before: [0; BEFORE],
             profile: Profile::new(drive),
-            grid: Time(0),
             fresh_until: Time(0),
-            ends_at: Time(0),
             sent: 0,
-            sequence: 0,
-            wish: None,
-            count: 0,
-            any: false,
             is_built: false,
             is_quiet: false,
             copied: 0,
+            has_last: false,
             open: None,
+            ends_at: Time(0),
+            wish: None,
+            sequence: 0,
+            count: 0,
+            enable_input: drive.enable_input,
+            last: 0,
+            begun: 0,
             fresh_within_ns: drive.fresh_within_ns(period_ns),
             seen: Seen::default(),
-            last: None,
-            actual: 0.0,
             units: drive.axis.units,
-            steps_per_encoder_count: drive.encoder.then(|| 1.0 / drive.encoder_counts_per_step),
+            actual: 0.0,
+            steps_per_encoder_count: if drive.encoder { 1.0 / drive.encoder_counts_per_step } else { 0.0 },
+            shift: 0.0,
+            velocity_per_count: 1.0 / drive.velocity_on_wire(1.0),
             shown: Shown::default(),
-            enable_input: drive.enable_input,
             native,
             end,
             odd: None,
             packet: Outgoing::heartbeat(0, 0),
-            track: Track::default(),
-            velocity_per_count: 1.0 / drive.velocity_on_wire(1.0),
+            turns: Turns::default(),
+            interval_ns: 0,
             fastest: MOST_PER_REV / VELOCITY_PER_REV * drive.steps_per_revolution * 1e-9,
             first_within_ns: drive.first_within_ns,
             opened_before: false,
@@ -220,10 +243,10 @@ impl Station {
         // A drive acts on the change of its command word; idle is what it had before, and says so.
         self.packet.set_run(true);
         self.copied = 0;
-        (self.sent, self.any, self.odd, self.fresh_until) = (0, false, None, Time(0));
+        (self.sent, self.odd, self.fresh_until) = (0, None, Time(0));
         self.ends_at = cycle.grid + self.first_within_ns.max(cycle.period_ns);
-        let interval_ns = connection.incoming_api_ns;
-        let (rate, most_steps) = (1e9 / interval_ns as f64, self.fastest * interval_ns as f64);
+        self.interval_ns = connection.incoming_api_ns;
+        let (rate, most_steps) = (1e9 / self.interval_ns as f64, self.fastest * self.interval_ns as f64);
         self.last_incoming = Some(incoming);
         self.open = Some(Open {
             outputs,
@@ -233,11 +256,11 @@ impl Station {
             incoming,
             source,
             timeout_ns,
-            interval_ns,
             rate,
             most_steps,
         });
-        (self.seen, self.last, self.track) = (Seen::default(), None, Track::default());
+        (self.seen, self.turns) = (Seen::default(), Turns::default());
+        (self.has_last, self.shift) = (false, 0.0);
         self.profile.connected();
         slot.reachable = true;
         if std::mem::replace(&mut self.opened_before, true) {
@@ -273,7 +296,6 @@ impl Station {
     /// and returns its length; `None`: there is no connection.
     #[inline]
     pub fn prepare(&mut self, cycle: &Cycle, slot: &mut Slot, out: &mut [u8]) -> Option<usize> {
-        self.grid = cycle.grid;
         if !(slot.guarded && self.is_quiet) {
             slot.commanded = self.end.guard(slot.guarded);
             self.is_quiet = slot.guarded && !slot.commanded;
@@ -304,13 +326,15 @@ impl Station {
 
     /// The packet has gone out.
     #[inline]
-    pub fn sent(&mut self, sent_at: Time, slot: &mut Slot) {
+    pub fn sent(&mut self, sent_at: Time, cycle: &Cycle, slot: &mut Slot) {
         self.sent = self.sent.wrapping_add(1);
         self.is_built = false;
         slot.counters.sent += 1;
         slot.exchange = Exchange::OwnClock { sent_at, fresh_until: self.fresh_until };
-        slot.gone.grid = Some(self.grid);
-        self.profile.sent(&mut self.native);
+        slot.gone.grid = Some(cycle.grid);
+        if let Some(begun) = self.profile.sent(&mut self.native) {
+            self.begun = begun;
+        }
     }
 
     /// A packet on the connection of this drive.
@@ -340,15 +364,16 @@ impl Station {
     fn accept(&mut self, at: Time, packet: &Packet<'_>, inputs: &Inputs, slot: &mut Slot) {
         let Some(Open { version, layout, timeout_ns, .. }) = self.open else { return };
         let ahead = packet.sequence.wrapping_sub(self.sequence).cast_signed();
-        if self.any && ahead <= 0 {
+        let is_first = self.fresh_until == Time(0);
+        if !is_first && ahead <= 0 {
             return Station::is_old(ahead, slot);
         }
-        if self.any && ahead > LEAP && self.leaps(at, packet.sequence) {
+        if !is_first && ahead > LEAP && self.leaps(at, packet.sequence) {
             slot.counters.foreign += 1;
             return Own::Leap.count(&mut slot.counters);
         }
-        let unchanged = self.any && packet.count == self.count;
-        (self.any, self.sequence, self.count) = (true, packet.sequence, packet.count);
+        let unchanged = !is_first && packet.count == self.count;
+        (self.sequence, self.count) = (packet.sequence, packet.count);
         self.fresh_until = at + self.fresh_within_ns;
         self.ends_at = at + timeout_ns;
         if let Exchange::OwnClock { fresh_until, .. } = &mut slot.exchange {
@@ -359,7 +384,7 @@ impl Station {
             return;
         }
         self.report(at, packet, inputs, slot);
-        publish(&mut self.native, at, self.profile.begun_outputs(), (version, layout), packet.data);
+        publish(&mut self.native, at, self.begun, (version, layout), packet.data);
     }
 
     /// A packet with more or less data than was agreed.
@@ -380,9 +405,8 @@ impl Station {
     /// all true ones old. It counts only if the next one goes on from there.
     #[cold]
     fn leaps(&mut self, at: Time, sequence: u32) -> bool {
-        let Some(open) = &self.open else { return true };
         let passed_ns = (at + self.fresh_within_ns).since(self.fresh_until);
-        let most = (passed_ns / open.interval_ns.max(1)).saturating_add(LEAP as u64);
+        let most = (passed_ns / self.interval_ns.max(1)).saturating_add(LEAP as u64);
         let ahead = |before: u32| sequence.wrapping_sub(before);
         if u64::from(ahead(self.sequence)) <= most {
             return false;

@@ -142,19 +142,21 @@ struct State {
     native_taken: u32,
 }
 
-/// The profile of one drive.
+/// The profile of one drive. What each exchange touches is the end of the state and what follows it: the last
+/// [`TOUCHED`](Self::TOUCHED) bytes.
 #[derive(Debug)]
-#[repr(C)] // What every exchange touches comes last: more of that follows in the station.
+#[repr(C)]
 pub(super) struct Profile {
     facts: Facts,
     rules: Rules,
     state: Prepared<State>,
     /// Another packet of the drive that says the same proves the same, and the next of ours is like the last one, as
-    /// long as this is the revision of the state.
-    settled: Option<u64>,
-    /// So many outputs of the application have begun.
-    begun: u32,
+    /// long as this is the revision of the state, or [`UNSETTLED`].
+    settled: u64,
 }
+
+/// No revision comes to this.
+const UNSETTLED: u64 = u64::MAX;
 
 /// What does not change.
 #[derive(Debug)]
@@ -168,6 +170,9 @@ struct Rules {
 }
 
 impl Profile {
+    /// The revisions of the state, and what follows them.
+    pub(super) const TOUCHED: usize = 40;
+
     pub(super) fn new(drive: &MoonsDrive) -> Profile {
         let state = State {
             edges: Edges::new(drive.hold, drive.effect_within_ns),
@@ -194,8 +199,7 @@ impl Profile {
         };
         Profile {
             state: Prepared::new(state),
-            settled: None,
-            begun: 0,
+            settled: UNSETTLED,
             facts: Facts::default(),
             rules: Rules {
                 units: drive.axis.units,
@@ -210,25 +214,25 @@ impl Profile {
     /// A new connection: the drive has seen none of the commands before, and what moved it meanwhile is not known.
     pub(super) fn connected(&mut self) {
         let homed = self.rules.registers_home && self.facts.homed == Some(true);
-        self.settled = None;
+        self.settled = UNSETTLED;
         self.state.change(|state| state.connected(homed));
     }
 
     /// The connection has ended: whether the drive still has its reference is open.
     pub(super) fn disconnected(&mut self) {
-        self.settled = None;
+        self.settled = UNSETTLED;
         self.state.change(|state| state.homed = false);
     }
 
     /// The drive has started anew.
     pub(super) fn drive_restarted(&mut self) {
-        self.settled = None;
+        self.settled = UNSETTLED;
         self.state.change(|state| (state.homed, state.jog, state.ramp) = (false, None, None));
     }
 
     /// What was read of the drive outside its packets.
     pub(super) fn read(&mut self, facts: Facts) {
-        (self.facts, self.settled) = (facts, None);
+        (self.facts, self.settled) = (facts, UNSETTLED);
         if let (true, Some(homed)) = (self.rules.registers_home, facts.homed) {
             self.state.change(|state| state.homed = homed);
         }
@@ -257,7 +261,7 @@ impl Profile {
     /// The next packet of the drive proves what the last one proved if it says the same.
     #[inline]
     pub(super) fn is_settled(&self) -> bool {
-        self.settled == Some(self.state.revision())
+        self.settled == self.state.revision()
     }
 
     /// The next packet is like the last one, with what is desired now.
@@ -287,27 +291,19 @@ impl Profile {
         &self.state.proposed().outputs
     }
 
-    /// The packet has gone out.
+    /// The packet has gone out. Returns how many outputs of the application have begun, if that may be new.
     #[inline]
-    pub(super) fn sent(&mut self, native: &mut NativePort) {
-        if self.state.is_proposed() {
-            self.sent_new(native);
-        }
+    pub(super) fn sent(&mut self, native: &mut NativePort) -> Option<u32> {
+        if self.state.is_proposed() { self.sent_new(native) } else { None }
     }
 
     #[inline(never)]
-    fn sent_new(&mut self, native: &mut NativePort) {
-        let Some((before, state)) = self.state.leave() else { return };
+    fn sent_new(&mut self, native: &mut NativePort) -> Option<u32> {
+        let (before, state) = self.state.leave()?;
         let begins = state.motion.serial != before.motion.serial;
         let is_native = matches!(state.motion.value, Motion::Native(_));
         native.left(state.native_taken != before.native_taken, begins.then_some(is_native));
-        self.begun = state.native_taken;
-    }
-
-    /// So many outputs of the application have begun.
-    #[inline]
-    pub(super) fn begun_outputs(&self) -> u32 {
-        self.begun
+        Some(state.native_taken)
     }
 }
 

@@ -1,7 +1,7 @@
 //! What a packet of the drive proves: effects of the command that is held, the end of what runs, and what has to be
 //! repeated.
 
-use super::{BUSY, BUSY_NOW, Holder, Profile, Rules, Seen, State, Step};
+use super::{BUSY, BUSY_NOW, Holder, Profile, Rules, Seen, State, Step, UNSETTLED};
 use crate::plan::HomingMethod;
 use crate::wire::assembly::{command, status};
 use fieldbeat_core::bus::desired::{
@@ -13,12 +13,12 @@ impl Profile {
     #[doc(hidden)]
     pub fn take(&mut self, seen: &Seen, evidence: &mut Evidence) {
         let Profile { state, rules, settled, .. } = self;
-        let is_settled = *settled == Some(state.revision()) && !state.left().is_unsettled_by(seen);
+        let is_settled = *settled == state.revision() && !state.left().is_unsettled_by(seen);
         if !is_settled {
             state.change(|state| state.take(seen, rules));
         }
         state.left().prove(seen, evidence);
-        *settled = state.left().is_settled().then(|| state.revision());
+        *settled = if state.left().is_settled() { state.revision() } else { UNSETTLED };
     }
 }
 

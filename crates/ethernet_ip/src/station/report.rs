@@ -11,13 +11,11 @@ use fieldbeat_core::bus::Slot;
 use fieldbeat_core::bus::desired::{Motion, Power};
 use fieldbeat_core::time::Time;
 
-/// The positions since the connection was opened, where they are more than what a packet shows.
+/// The turns of a rotary axis since the connection was opened.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Track {
+pub(super) struct Turns {
     demand: Unwrap,
     encoder: Unwrap,
-    /// Of the encoder, so that both agree where they were last set to the same place, steps.
-    shift: f64,
 }
 
 /// What a drive shows besides, in its own integers.
@@ -44,10 +42,10 @@ impl Station {
         // Only a rotary axis wraps around; on any other one a wrong value must not shift all later ones.
         let wraps = self.units.modulo.is_some();
         let unwrap = |track: &mut Unwrap, count: i32| if wraps { track.next(count) } else { count.into() };
-        let demand = unwrap(&mut self.track.demand, inputs.absolute);
-        let encoder = self.steps_per_encoder_count.map(|steps| {
-            let count = unwrap(&mut self.track.encoder, inputs.encoder);
-            count as f64 * steps
+        let demand = unwrap(&mut self.turns.demand, inputs.absolute);
+        let encoder = self.has_encoder().then(|| {
+            let count = unwrap(&mut self.turns.encoder, inputs.encoder);
+            count as f64 * self.steps_per_encoder_count
         });
         let before = std::mem::replace(
             &mut self.seen,
@@ -58,17 +56,17 @@ impl Station {
             self.prove(slot);
             if self.profile.take_rehomed() {
                 // The position was set: that was no motion, and the encoder is where the steps are.
-                self.track.shift = demand as f64 - encoder.unwrap_or_default();
-                self.last = None;
+                self.shift = demand as f64 - encoder.unwrap_or_default();
+                self.has_last = false;
             }
         }
         let demand_steps = demand as f64;
-        let actual = encoder.map_or(demand_steps, |steps| steps + self.track.shift);
+        let actual = encoder.map_or(demand_steps, |steps| steps + self.shift);
         let Slot { status: report, notices, evidence, .. } = slot;
         // By the drive's clock: its packets count its intervals, however they travel. What no motor makes is another
         // origin: the position was set.
-        if let Some(last) = self.last
-            && let intervals = packet.sequence.wrapping_sub(last)
+        if self.has_last
+            && let intervals = packet.sequence.wrapping_sub(self.last)
             && let moved = (demand - before.demand) as f64
             && moved.abs() <= most_steps * (f64::from(intervals) + 1.0)
         {
@@ -86,7 +84,7 @@ impl Station {
             (evidence.demand_velocity, report.velocity) =
                 (0.0, f64::from(inputs.velocity) * self.velocity_per_count);
         }
-        (self.last, self.actual) = (Some(packet.sequence), actual);
+        (self.last, self.has_last, self.actual) = (packet.sequence, true, actual);
         let place = |steps: f64| self.units.distance(steps) + self.units.offset;
         evidence.demand = place(demand_steps);
         evidence.position = if encoder.is_some() { place(actual) } else { evidence.demand };
@@ -122,14 +120,17 @@ impl Station {
         report.homed = self.profile.is_homed();
         report.moving = self.seen.moves();
         // A drive without an encoder is where it stands.
-        let open_loop = self.steps_per_encoder_count.is_none();
-        report.in_target = !self.seen.moves() && (open_loop || word & status::IN_POSITION != 0);
+        report.in_target = !self.seen.moves() && (!self.has_encoder() || word & status::IN_POSITION != 0);
         report.sto_open = self.seen.sto_open;
         report.suspect = false;
         let fault = word & status::FAULT != 0;
         // A fault has a code: that of a drive without an alarm in its word is the status bit.
         report.fault = if fault { alarm.max(u32::from(alarm == 0)) } else { 0 };
         report.warning = if fault { 0 } else { alarm };
+    }
+
+    fn has_encoder(&self) -> bool {
+        self.steps_per_encoder_count != 0.0
     }
 
     /// Its hardware enable is missing, where one is wired. A closed input is 0.
