@@ -223,18 +223,13 @@ impl Bus for EthernetIpBus {
     }
 
     fn send(&mut self, cycle: &Cycle, slots: &mut [Slot]) {
-        for (index, (station, slot)) in self.stations.iter_mut().zip(slots.iter_mut()).enumerate() {
-            let leaves = slot.due && station.is_built();
-            self.outbox.post(index, leaves);
-            if slot.due && !leaves {
-                slot.unsent();
-            }
-        }
         self.net.send(&mut self.outbox);
         for (index, (station, slot)) in self.stations.iter_mut().zip(slots.iter_mut()).enumerate() {
-            match self.outbox.sent(index) {
+            match self.outbox.take_sent(index) {
                 Sent::At(at) => station.sent(at, cycle, slot),
                 Sent::Failed(_) | Sent::Posted => slot.unsent(),
+                // There is no connection, or a panic kept its packet from being built.
+                Sent::Idle if slot.due => slot.unsent(),
                 Sent::Idle => {}
             }
         }
@@ -258,11 +253,11 @@ impl Bus for EthernetIpBus {
 
     fn prepare(&mut self, cycle: &Cycle, slots: &mut [Slot]) {
         for (index, (station, slot)) in self.stations.iter_mut().zip(slots).enumerate() {
-            if slot.due
-                && let Some(length) = station.prepare(cycle, slot, self.outbox.room(index))
-            {
+            let built = if slot.due { station.prepare(cycle, slot, self.outbox.room(index)) } else { None };
+            if let Some(length) = built {
                 self.outbox.set_length(index, length);
             }
+            self.outbox.post(index, built.is_some());
         }
     }
 

@@ -53,8 +53,6 @@ pub struct Station {
     fresh_until: Time,
     /// Our packets on this connection.
     sent: u32,
-    /// A packet is in the outbox for the next send.
-    is_built: bool,
     /// Calls that command the drive are refused, and none was under way since: none begins.
     is_quiet: bool,
     /// The outbox has so many bytes, those of `packet` but for its numbers; 0: it has others.
@@ -147,7 +145,6 @@ impl Station {
             profile: Profile::new(drive),
             fresh_until: Time(0),
             sent: 0,
-            is_built: false,
             is_quiet: false,
             copied: 0,
             has_last: false,
@@ -271,7 +268,6 @@ impl Station {
     /// The connection is over: nothing is sent on it any more.
     fn give_up(&mut self) {
         self.open = None;
-        self.is_built = false;
         self.profile.disconnected();
     }
 
@@ -314,21 +310,13 @@ impl Station {
         // Both begin with 1: some adapters swallow the first data if its count is 0.
         let next = self.sent.wrapping_add(1);
         Outgoing::number(out, next, next as u16);
-        self.is_built = true;
         Some(self.copied.into())
-    }
-
-    /// Whether the prepared packet may leave.
-    #[inline]
-    pub(super) fn is_built(&self) -> bool {
-        self.is_built
     }
 
     /// The packet has gone out.
     #[inline]
     pub fn sent(&mut self, sent_at: Time, cycle: &Cycle, slot: &mut Slot) {
         self.sent = self.sent.wrapping_add(1);
-        self.is_built = false;
         slot.counters.sent += 1;
         slot.exchange = Exchange::OwnClock { sent_at, fresh_until: self.fresh_until };
         slot.gone.grid = Some(cycle.grid);
