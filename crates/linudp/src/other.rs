@@ -42,7 +42,7 @@ impl OtherMaster {
     }
 
     /// The prepared request, which carries a motion command, has gone out: it opens the exchange of this number.
-    #[cold]
+    #[inline(never)] // Most requests carry none.
     pub(super) fn sent(&mut self, exchange: u64) {
         if let Some(until) = self.own_until.get_mut(usize::from(self.prepared)) {
             *until = exchange + OWN;

@@ -211,5 +211,5 @@ impl Response {
 /// `N` bytes from `at` on.
 #[inline]
 fn chunk<const N: usize>(bytes: &[u8], at: usize) -> Option<[u8; N]> {
-    bytes.get(at..)?.first_chunk().copied()
+    bytes.get(at..at + N)?.first_chunk().copied()
 }
