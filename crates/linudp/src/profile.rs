@@ -5,6 +5,8 @@
 //!
 //! Sources: SG5 manual 4.3.4, state machine and motion command interface (sheet, 3.5 and 4.1).
 
+use std::mem::offset_of;
+
 use super::channel::MotionChannel;
 use super::last::PowerSent;
 use super::motion::{
@@ -195,8 +197,8 @@ pub(super) fn capabilities(drive: &LinUdpDrive) -> Capabilities {
 }
 
 impl Profile {
-    /// The revisions of the state, and what follows them.
-    pub(super) const TOUCHED: usize = 40;
+    /// The revisions at the end of the state, 32 bytes, and what follows them.
+    pub(super) const TOUCHED: usize = 32 + size_of::<Profile>() - offset_of!(Profile, control);
 
     pub(super) fn new(drive: &LinUdpDrive) -> Profile {
         let LinUdpDrive { axis, stream, sto_after, .. } = drive;

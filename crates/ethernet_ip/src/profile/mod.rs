@@ -22,6 +22,8 @@ mod capabilities;
 mod proofs;
 mod words;
 
+use std::mem::offset_of;
+
 pub(super) use self::capabilities::capabilities;
 use self::words::{is_begun, is_motion};
 use super::edges::{Change, Edges, MOST_REPEATS};
@@ -170,8 +172,8 @@ struct Rules {
 }
 
 impl Profile {
-    /// The revisions of the state, and what follows them.
-    pub(super) const TOUCHED: usize = 40;
+    /// The revisions at the end of the state, 32 bytes, and what follows them.
+    pub(super) const TOUCHED: usize = 32 + size_of::<Profile>() - offset_of!(Profile, settled);
 
     pub(super) fn new(drive: &MoonsDrive) -> Profile {
         let state = State {

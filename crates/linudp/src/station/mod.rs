@@ -106,9 +106,9 @@ pub struct Station {
 }
 
 const _: () = {
-    assert!(offset_of!(Station, idle) % LINE == Profile::TOUCHED);
-    assert!(offset_of!(Station, identity) % LINE + Identity::TOUCHED <= LINE);
-    assert!(offset_of!(Station, native) - offset_of!(Station, settled) + 16 <= 2 * LINE);
+    assert!(offset_of!(Station, identity) % LINE + Identity::TOUCHED <= LINE, "a request needs one line");
+    let replies = offset_of!(Station, native) + 16 - offset_of!(Station, settled);
+    assert!(replies <= 2 * LINE, "a reply needs two lines more, up to the writer of its inputs");
 };
 
 impl Station {
