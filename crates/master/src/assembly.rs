@@ -142,8 +142,7 @@ pub fn assemble<C: Clock>(
             let controller = DriveController::new(
                 axis.clone(),
                 drive.capabilities,
-                writer,
-                queues,
+                (writer, queues),
                 period_ns,
                 first_probe,
                 silence,

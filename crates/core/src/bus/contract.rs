@@ -287,7 +287,7 @@ pub struct Slot {
 // What lies together begins with a cache line, or ends with one.
 const _: () = {
     assert!(offset_of!(Slot, counters) + 2 * size_of::<u64>() == 64);
-    assert!((offset_of!(Slot, status) + offset_of!(DriveStatus, monitor)) % 64 == 0);
+    assert!((offset_of!(Slot, status) + offset_of!(DriveStatus, monitor)).is_multiple_of(64));
 };
 
 impl Slot {

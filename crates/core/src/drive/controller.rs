@@ -157,11 +157,11 @@ pub struct DriveController {
 
 // What lies together begins with a cache line, or ends with one.
 const _: () = {
-    assert!((offset_of!(DriveController, duty) + Duty::USUAL) % 64 == 0);
-    assert!(offset_of!(DriveController, largest) % 64 == 0);
-    assert!((offset_of!(DriveController, health) + LinkHealth::USUAL) % 64 == 0);
-    assert!((offset_of!(DriveController, watch) + Watch::USUAL) % 64 == 0);
-    assert!((offset_of!(DriveController, feedback) + offset_of!(Feedback, status)) % 64 == 0);
+    assert!((offset_of!(DriveController, duty) + Duty::USUAL).is_multiple_of(64));
+    assert!(offset_of!(DriveController, largest).is_multiple_of(64));
+    assert!((offset_of!(DriveController, health) + LinkHealth::USUAL).is_multiple_of(64));
+    assert!((offset_of!(DriveController, watch) + Watch::USUAL).is_multiple_of(64));
+    assert!((offset_of!(DriveController, feedback) + offset_of!(Feedback, status)).is_multiple_of(64));
 };
 
 /// Who stops with an axis.
@@ -207,8 +207,7 @@ impl DriveController {
     pub fn new(
         plan: AxisPlan,
         can: Capabilities,
-        outlet: Writer<Feedback>,
-        queues: Queues,
+        (outlet, queues): (Writer<Feedback>, Queues),
         period_ns: u64,
         first_probe: u64,
         silence: u64,

@@ -109,7 +109,7 @@ impl Alone {
             log: InputLog::default(),
             journal: Journal::new(8, &mut Regions::default()),
         };
-        let controller = DriveController::new(plan, can, feedback, queues, MS, 0, 100, Probes::Spaced);
+        let controller = DriveController::new(plan, can, (feedback, queues), MS, 0, 100, Probes::Spaced);
         let slot = Slot::default();
         Alone {
             controller,
