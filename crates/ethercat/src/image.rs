@@ -16,8 +16,8 @@ use std::ops::Range;
 use super::plan::{Owner, SlavePlan};
 use super::slot::{Answer, Answers, Ask};
 use super::wire::frame::{
-    BROADCAST, Builder, CIRCULATED, Command, DATA_MAX, FRAME_MAX, Mac, Place, Stem, datagrams,
-    first_datagram, set_command, set_index,
+    BROADCAST, Builder, CIRCULATED, Command, DATA_MAX, DATAGRAM_HEADER, FRAME_MAX, HEADER, Mac, Place, Stem,
+    WORKING_COUNTER, datagrams, first_datagram, set_command, set_index,
 };
 use super::wire::registers::address;
 use fieldbeat_core::rt::Regions;
@@ -26,6 +26,7 @@ use fieldbeat_core::rt::Regions;
 const FRAME_SPACE: u32 = 0x1000;
 /// The sender of a frame, and its number: in a datagram that no slave touches, before all others.
 const MARK_SIZE: usize = 8;
+const MARK_AT: usize = HEADER + DATAGRAM_HEADER;
 /// Bytes of an AL status in the image.
 pub const AL_SIZE: usize = 2;
 /// Bytes of the time of a segment: the lower half, which every clock has.
@@ -82,7 +83,6 @@ pub struct Frame {
     outputs: Range<usize>,
     length: usize,
     stem: Stem,
-    mark: Place,
     /// The reference's time for all, and ours for the reference.
     clock: Option<[Place; 2]>,
     /// LRW; or LWR and LRD.
@@ -245,7 +245,6 @@ impl Frame {
             bytes,
             length,
             stem,
-            mark,
             clock,
             data,
             read,
@@ -310,14 +309,13 @@ impl Frame {
     #[inline]
     pub fn load_outputs(&mut self) {
         let range = self.outputs.clone();
-        self.sent[..range.len()].copy_from_slice(&self.bytes[range.clone()]);
+        self.sent.copy_from_slice(&self.bytes[range.clone()]);
         self.bytes[range.clone()].copy_from_slice(&self.next[range]);
     }
 
     /// The frame was not sent: the outputs in it are the previous ones again.
     pub fn unload_outputs(&mut self) {
-        let range = self.outputs.clone();
-        self.bytes[range.clone()].copy_from_slice(&self.sent[..range.len()]);
+        self.bytes[self.outputs.clone()].copy_from_slice(&self.sent);
     }
 
     /// The slave with this station address is the reference from now on. `to_all`: its time goes to all others,
@@ -336,10 +334,20 @@ impl Frame {
         }
     }
 
+    /// The reference receives our time.
+    #[inline]
+    pub fn is_followed(&self) -> bool {
+        self.clock.is_some_and(|[_, time]| self.bytes[time.at] != Command::Nop.number())
+    }
+
     /// Our time for the reference; and for all, if the reference is absent and cannot replace it with its own.
     pub fn set_time(&mut self, ns: u64) {
-        for place in self.clock.iter().flatten() {
-            self.bytes[place.data()].copy_from_slice(&(ns as u32).to_le_bytes());
+        let Some(places) = self.clock else { return };
+        for Place { at, .. } in places {
+            let place = self.bytes.get_mut(at + DATAGRAM_HEADER..).and_then(<[u8]>::first_chunk_mut);
+            if let Some(place) = place {
+                *place = (ns as u32).to_le_bytes();
+            }
         }
     }
 
@@ -367,7 +375,7 @@ impl Frame {
 
     /// Makes it the frame with this number of this master.
     pub fn number(&mut self, mark: Mark) {
-        self.bytes[self.mark.data()].copy_from_slice(&mark.bytes());
+        self.bytes[MARK_AT..MARK_AT + MARK_SIZE].copy_from_slice(&mark.bytes());
         for at in &self.headers[..self.count] {
             set_index(&mut *self.bytes, Place { at: usize::from(*at), length: 0 }, mark.number as u8);
         }
@@ -385,7 +393,10 @@ impl Frame {
         if changes(stay) | changes(counted) & !POSITION != 0 {
             return self.read_other(received);
         }
-        let counter = |place| answer(received, place).map_or(0, |answer| answer.working_counter);
+        let counter = |place: Place| {
+            let counter = whole.get(place.data().end..).and_then(<[u8]>::first_chunk);
+            counter.map_or(0, |counter| u16::from_le_bytes(*counter))
+        };
         Read::Good(counter(self.data).saturating_add(self.read.map_or(0, counter)))
     }
 
@@ -408,10 +419,12 @@ impl Frame {
     /// The time of the reference in a frame that was read, if the reference took part: otherwise the other slaves
     /// count the datagram, and it has what was sent.
     pub fn time_of(&self, received: &[u8]) -> Option<u32> {
-        let [place, _] = self.clock?;
-        let answer = answer(received, place)?;
-        let time = u32::from_le_bytes(answer.data.try_into().ok()?);
-        (answer.working_counter > 0 && self.bytes[place.at] != Command::Nop.number()).then_some(time)
+        let [Place { at, .. }, _] = self.clock?;
+        let answer =
+            received.get(at + DATAGRAM_HEADER..)?.first_chunk::<{ TIME_SIZE + WORKING_COUNTER }>()?;
+        let [a, b, c, d, counter @ ..] = *answer;
+        let is_shown = counter != [0; WORKING_COUNTER] && self.bytes[at] != Command::Nop.number();
+        is_shown.then_some(u32::from_le_bytes([a, b, c, d]))
     }
 
     /// How many slaves took part in a frame that was read: all of them have an AL status.

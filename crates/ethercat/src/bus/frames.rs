@@ -51,7 +51,7 @@ impl EthercatBus {
 
     /// All frames that were sent last were sent, and are back.
     pub(super) fn is_back(&self) -> bool {
-        self.flights.iter().all(|flight| flight.back)
+        self.missing == 0
     }
 
     /// The frames that are not back by now do not count any more.
@@ -88,18 +88,7 @@ impl EthercatBus {
     fn sort(&mut self, at: Time, received: &[u8], in_window: bool, slots: &mut [Slot]) {
         let number = match own_number(received, &self.source, self.mark.master) {
             Ok(number) => number,
-            Err(sender) => {
-                match sender {
-                    UnknownSender::Foreign => self.unmatched.datagrams += 1,
-                    UnknownSender::Unknown => self.count(None, slots, |counters| counters.foreign += 1),
-                    // Its frame cannot be identified.
-                    UnknownSender::Broken => self.count(None, slots, |counters| counters.malformed += 1),
-                }
-                if self.other.see(at, received) {
-                    other_master(slots);
-                }
-                return;
-            }
+            Err(sender) => return self.take_unknown(sender, at, received, slots),
         };
         let place = number as usize % KNOWN;
         let known = self.known[place];
@@ -110,31 +99,27 @@ impl EthercatBus {
         if known.answered {
             return self.count(Some(frame), slots, |counters| counters.duplicate += 1);
         }
-        let Some(sent) = self.flights[frame].sent.filter(|_| self.flights[frame].number == number) else {
+        let flight = &self.flights[frame];
+        let Some(sent) = flight.sent.as_ref().filter(|_| flight.number == number) else {
             self.known[place].answered = true;
             return self.count(Some(frame), slots, |counters| counters.late += 1);
         };
         match self.image.frames()[frame].read(received) {
             Read::Good(counter) => {
                 self.known[place].answered = true;
-                (self.flights[frame].sent, self.flights[frame].back) = (None, true);
+                self.missing -= 1;
                 self.silent = 0;
                 let is_other = self.other.is_there(at);
                 self.wire.set(0, if is_other { WireNote::OtherMaster } else { WireNote::None });
                 if !in_window {
                     // Too late for the exchanges of the drives, but not for what proceeds step by step.
-                    self.count_late(frame, &sent, slots);
+                    self.count_late(frame, sent, slots);
                 }
-                let back = Back {
-                    sent: &sent,
-                    frame: &self.image.frames()[frame],
-                    at,
-                    received,
-                    counter,
-                    in_window,
-                };
+                let back =
+                    Back { sent, frame: &self.image.frames()[frame], at, received, counter, in_window };
                 let (drives, devices) = (&mut self.drives[..], &mut self.devices[..]);
                 self.segment.receive(&back, frame, &mut Endpoints { drives, devices, slots });
+                (self.flights[frame].sent, self.flights[frame].back) = (None, true);
                 if std::mem::take(&mut self.segment.lowered) {
                     other_master(slots);
                 }
@@ -144,8 +129,23 @@ impl EthercatBus {
         }
     }
 
+    /// A frame that is not one of this master's last frames.
+    #[cold]
+    fn take_unknown(&mut self, sender: UnknownSender, at: Time, received: &[u8], slots: &mut [Slot]) {
+        match sender {
+            UnknownSender::Foreign => self.unmatched.datagrams += 1,
+            UnknownSender::Unknown => self.count(None, slots, |counters| counters.foreign += 1),
+            // Its frame cannot be identified.
+            UnknownSender::Broken => self.count(None, slots, |counters| counters.malformed += 1),
+        }
+        if self.other.see(at, received) {
+            other_master(slots);
+        }
+    }
+
     /// Counts something of each drive and device in a frame; of all of them, if the frame is unknown. Of a device only
     /// what this protocol counts for itself is kept.
+    #[cold]
     fn count(&self, frame: Option<usize>, slots: &mut [Slot], count: impl Fn(&mut Counters)) {
         let mut of_device = Counters::default();
         count(&mut of_device);
@@ -164,6 +164,7 @@ impl EthercatBus {
     }
 
     /// Counts frame `number`, which came after its window, as late for the drives of its exchanges.
+    #[cold]
     fn count_late(&self, number: usize, sent: &Sent, slots: &mut [Slot]) {
         for ((slot, drive), out) in slots.iter_mut().zip(&self.drives).zip(&self.outgoing) {
             let was_sent = usize::from(out.frame) == number && drive.station.sent_grid == sent.cycle.grid;
@@ -274,6 +275,7 @@ fn own_number(received: &[u8], source: &[u8; 6], master: u32) -> Result<u32, Unk
 
 /// Another master has frames on the segment of these drives.
 #[cold]
+#[inline(never)]
 fn other_master(slots: &mut [Slot]) {
     slots.iter_mut().for_each(|slot| slot.notices.other_master = true);
 }

@@ -65,6 +65,8 @@ struct EthercatBus {
     known: Box<[Known; KNOWN]>,
     /// For each frame of the image: when it was sent, and whether it is still under way.
     flights: Box<[Flight]>,
+    /// How many of them are not back: each is after it was sent, or could not be sent.
+    missing: usize,
     room: Box<[u8]>,
     /// The first frame is prepared for the next send.
     prepared: bool,
@@ -142,6 +144,7 @@ impl EthercatBus {
             net,
             source,
             flights: vec![Flight::default(); image.frames().len()].into(),
+            missing: image.frames().len(),
             image,
             drives,
             outgoing: outgoing.into(),
@@ -216,6 +219,7 @@ impl Bus for EthercatBus {
         if !self.prepared {
             self.finish(cycle, slots);
         }
+        self.missing = self.flights.len();
         for number in 0..self.flights.len() {
             let sent_at = self.send_frame(number, cycle);
             self.requested(number, sent_at, cycle, slots);
@@ -261,7 +265,7 @@ impl Bus for EthercatBus {
     fn native(&self, index: usize) -> Option<(&dyn Inputs, &[u8])> {
         let (drive, Outgoing { frame, range, .. }) = self.drives.get(index).zip(self.outgoing.get(index))?;
         let frame = self.image.frames().get(usize::from(*frame))?;
-        Some((drive.station.profile.native(), frame.sent_outputs(range)))
+        Some((&drive.station.native, frame.sent_outputs(range)))
     }
 
     fn shut_down(&mut self, cycle: &Cycle, slots: &mut [Slot]) -> bool {

@@ -142,9 +142,41 @@ impl State {
 }
 
 /// The profile of one drive.
+///
+/// What every exchange touches is on two cache lines: from the revisions at the end of `state` up to `builds_each`, and
+/// from `answers` up to the front of `offsets`. Reports need the second one alone.
 #[derive(Debug)]
-#[repr(C)] // What every exchange touches lies together: from the end of `state` to the start of `native`.
+#[repr(C, align(64))]
 pub struct Profile {
+    power: Delivery,
+    motion: Delivery,
+    /// When it was last seen without its hardware enable.
+    dark_at: Option<Time>,
+    state: Prepared<State>,
+    /// The slot of the grid that the prepared exchange is built for, and the row desired in it.
+    pub grid: Time,
+    wanted_row: u64,
+    /// Raw setpoint of one user unit, of one user unit/s, or of one per cent of the rated torque; negative if the
+    /// axis is inverted.
+    scale: f64,
+    /// Of the prepared exchange: the setpoint, and the control word.
+    setpoint: i32,
+    control: ControlWord,
+    /// Each exchange is rebuilt: the application writes some outputs, or a target follows the actual position.
+    builds_each: bool,
+    /// The exchanges that were answered.
+    answers: u64,
+    row: Delivery,
+    /// The position that is 0 on the wire.
+    pub(super) origin: f64,
+    pub(super) sent: Sent,
+    quantity: Quantity,
+    /// What is neither control word nor setpoint is in the outputs.
+    is_filled: bool,
+    /// The offsets of its process data.
+    pub offsets: Offsets,
+    controls: Controls,
+    switching: Switching,
     /// Bits that the mode of the setpoint needs while the drive is in operation.
     mode_bits: u16,
     /// It may have a watchdog: the configuration does not switch it off.
@@ -152,50 +184,30 @@ pub struct Profile {
     /// It was found with another watchdog than configured.
     pub found_otherwise: bool,
     mode_refused: bool,
-    power: Delivery,
-    motion: Delivery,
-    switching: Switching,
-    /// When it was last seen without its hardware enable.
-    dark_at: Option<Time>,
-    state: Prepared<State>,
-    /// The slot of the grid that the prepared exchange is built for, and the row desired in it.
-    pub grid: Time,
-    wanted_row: u64,
-    /// The exchanges that were answered.
-    answers: u64,
-    /// Of the prepared exchange: the setpoint, and the control word.
-    setpoint: i32,
-    control: ControlWord,
-    quantity: Quantity,
-    /// Each exchange is rebuilt: the application writes some outputs, or a target follows the actual position.
-    builds_each: bool,
-    /// Raw setpoint of one user unit, of one user unit/s, or of one per cent of the rated torque; negative if the
-    /// axis is inverted. `origin`: the position that is 0 there.
-    scale: f64,
-    origin: f64,
-    row: Delivery,
-    sent: Sent,
-    /// What is neither control word nor setpoint is in the outputs.
-    is_filled: bool,
-    /// The offsets of its process data.
-    pub offsets: Offsets,
-    native: NativePort,
 }
 
 /// What went out.
 #[derive(Clone, Copy, Debug, Default)]
 #[repr(C)] // As in the profile.
-struct Sent {
-    /// The control words of the last exchange, and of the one before.
-    control: Option<ControlWord>,
-    before: Option<ControlWord>,
-    /// Both command it to be on.
-    is_on: bool,
+pub(super) struct Sent {
+    /// The setpoints of the last exchange, and of the one before.
+    setpoints: (i32, i32),
     /// The last exchange had a drive follow setpoints, or home.
     follows: bool,
     homes: bool,
-    /// The setpoints of the last exchange, and of the one before.
-    setpoints: (i32, i32),
+    /// Its outputs reach the drive.
+    pub(super) reached: bool,
+    /// Its setpoints are the demand of the drive, and reach it.
+    pub(super) led: bool,
+}
+
+/// The control words of the last exchange, and of the one before.
+#[derive(Clone, Copy, Debug, Default)]
+struct Controls {
+    last: Option<ControlWord>,
+    before: Option<ControlWord>,
+    /// Both command it to be on.
+    are_on: bool,
 }
 
 /// A drive that is commanded to switch on: it was powered since; or commanded for the first time then.
@@ -206,12 +218,11 @@ struct Switching {
 }
 
 impl Profile {
-    pub(super) fn new(drive: &KollmorgenDrive, native: NativePort) -> Profile {
+    pub(super) fn new(drive: &KollmorgenDrive) -> Profile {
         let (quantity, scale) = quantity(drive);
         let mode = drive.mode();
         Profile {
             offsets: Offsets::new(drive),
-            native,
             quantity,
             scale,
             origin: drive.axis.units.offset,
@@ -227,6 +238,7 @@ impl Profile {
             is_filled: false,
             state: Prepared::new(State::default()),
             sent: Sent::default(),
+            controls: Controls::default(),
             answers: 0,
             power: Delivery::default(),
             motion: Delivery::default(),
@@ -238,19 +250,19 @@ impl Profile {
 
     /// Adds what it touches besides itself, to be locked.
     pub(super) fn memory(&self, regions: &mut Regions) {
-        self.native.memory(regions);
         self.offsets.memory(regions);
     }
 
     /// Writes the output PDO of the exchange in slot `grid` over the one before; `actual`: the newest count of its
-    /// position, and whether it was in operation there, for targets that are not the setpoint. Built again for the same
-    /// send, it is the same.
+    /// position, and whether it was in operation there, for targets that are not the setpoint; `native`: the outputs of
+    /// the application. Built again for the same send, it is the same.
     #[inline]
     pub(super) fn encode(
         &mut self,
         grid: Time,
         desired: &Desired,
         actual: impl Fn() -> (i32, bool),
+        native: &mut NativePort,
         outputs: &mut [u8],
     ) {
         let setpoint = &desired.setpoint;
@@ -265,7 +277,7 @@ impl Profile {
             rounded(if is_velocity { setpoint.velocity } else { setpoint.torque } * self.scale) as i32
         };
         if self.builds_each || !self.state.holds(desired.revision()) {
-            self.build(desired, actual());
+            self.build(desired, actual(), native);
         }
         if !std::mem::replace(&mut self.is_filled, true) {
             self.offsets.fill(outputs);
@@ -278,14 +290,14 @@ impl Profile {
 
     /// What is not in the setpoint alone.
     #[inline(never)]
-    fn build(&mut self, desired: &Desired, actual: (i32, bool)) {
+    fn build(&mut self, desired: &Desired, actual: (i32, bool), native: &mut NativePort) {
         let state = self.state.propose(desired.revision());
         // What the application has written before the mode begins is dropped.
         let goes_on = state.motion.serial == desired.motion.serial;
         state.desire(desired, self.mode_bits);
         if state.is_native()
             && goes_on
-            && let Some(output) = self.native.peek()
+            && let Some(output) = native.peek()
         {
             (state.output, state.native_taken) = (Some(output), state.native_taken.wrapping_add(1));
         }
@@ -328,22 +340,6 @@ impl Profile {
         }
     }
 
-    /// The native process data.
-    #[inline]
-    pub(super) fn native(&self) -> &NativePort {
-        &self.native
-    }
-
-    /// Publishes the inputs to the application.
-    #[inline]
-    pub(super) fn publish(&mut self, at: Time, inputs: &[u8]) {
-        match inputs.try_into() {
-            // Those of most drives.
-            Ok(inputs) => self.native.publish_array::<8>(at, 0, inputs),
-            Err(_) => self.native.publish(at, 0, inputs),
-        }
-    }
-
     /// Native mode runs.
     #[inline]
     pub(super) fn is_native(&self) -> bool {
@@ -369,17 +365,17 @@ impl Profile {
     /// The last built exchange was sent, and its outputs count. Returns whether there was something new in it, but for
     /// the setpoint and its row.
     #[inline(always)] // As `Station::sent`.
-    pub(super) fn sent(&mut self) -> bool {
+    pub(super) fn sent(&mut self, native: &mut NativePort) -> bool {
         self.row.sent(self.wanted_row, self.answers);
         self.sent.setpoints = (self.setpoint, self.sent.setpoints.0);
-        self.state.is_proposed() && self.sent_new()
+        self.state.is_proposed() && self.sent_new(native)
     }
 
     #[inline(never)]
-    fn sent_new(&mut self) -> bool {
+    fn sent_new(&mut self, native: &mut NativePort) -> bool {
         let Some((before, state)) = self.state.leave() else { return false };
         let begins = state.motion.serial != before.motion.serial;
-        self.native.left(state.native_taken != before.native_taken, begins.then(|| state.is_native()));
+        native.left(state.native_taken != before.native_taken, begins.then(|| state.is_native()));
         true
     }
 
@@ -389,14 +385,14 @@ impl Profile {
         let State { power, motion, control, .. } = *self.state.left();
         self.power.sent(power.serial, self.answers);
         self.motion.sent(motion.serial, self.answers);
-        let sent = &mut self.sent;
-        sent.follows = power.value == Power::EnableOperation;
-        sent.homes = motion.value == Motion::Home;
-        if sent.control != Some(control) || sent.before != Some(control) {
-            sent.before = sent.control.replace(control);
+        self.sent.follows = power.value == Power::EnableOperation;
+        self.sent.homes = motion.value == Motion::Home;
+        let controls = &mut self.controls;
+        if controls.last != Some(control) || controls.before != Some(control) {
+            controls.before = controls.last.replace(control);
             let on = ControlWord::ENABLE_VOLTAGE | ControlWord::NO_QUICK_STOP;
             let is_on = |word: Option<ControlWord>| word.is_some_and(|word| word.has(on));
-            sent.is_on = is_on(sent.control) && is_on(sent.before);
+            controls.are_on = is_on(controls.last) && is_on(controls.before);
         }
     }
 
@@ -416,7 +412,7 @@ impl Profile {
     /// The drive has lost its commands.
     pub(super) fn drive_restarted(&mut self) {
         self.dropped();
-        (self.sent.control, self.sent.before, self.sent.is_on) = (None, None, false);
+        self.controls = Controls::default();
     }
 
     /// The setpoint of the last sent exchange, if it is one.
@@ -464,7 +460,7 @@ impl Profile {
     /// Checks its report: whether it stays off although it is commanded to switch on.
     #[inline]
     pub(super) fn look(&mut self, inputs: &Inputs) {
-        if !(inputs.operational && self.sent.is_on) {
+        if !(inputs.operational && self.controls.are_on) {
             self.switching = Switching::default();
         } else if inputs.state.is_powered() {
             self.switching = Switching { was_powered: true, since: None };
@@ -518,10 +514,10 @@ impl Profile {
         let is_delivered =
             |carried: Delivery, serial| carried.serial == serial && carried.is_delivered(self.answers);
         let is_proved = is_delivered(self.power, power.serial) && is_delivered(self.motion, motion.serial);
-        let is_written = self.sent.control == Some(control) && self.sent.before == Some(control);
+        let is_written = self.controls.last == Some(control) && self.controls.before == Some(control);
         let homes = is_away || self.sent.homes || mode.value == desired::Mode::Homing;
         // A missing hardware enable shows in the course of time.
-        let is_dark = !inputs.state.is_powered() && (self.sent.is_on || self.dark_at.is_some());
+        let is_dark = !inputs.state.is_powered() && (self.controls.are_on || self.dark_at.is_some());
         is_proved && is_written && !homes && !self.is_native() && !is_dark
     }
 }
@@ -547,4 +543,19 @@ fn resettable(inputs: &Inputs) -> Resettable {
 #[inline]
 fn rounded(value: f64) -> f64 {
     value + 0.5_f64.copysign(value)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// An exchange that finds them elsewhere is none the wrong one, but a slow one.
+    #[test]
+    fn what_every_exchange_touches_is_on_two_cache_lines() {
+        use std::mem::offset_of;
+        let (grid, answers) = (offset_of!(Profile, grid), offset_of!(Profile, answers));
+        assert_eq!((grid % 64, answers), (32, grid + 32));
+        let state = offset_of!(Profile, state) + size_of::<Prepared<State>>();
+        assert_eq!((state, offset_of!(Profile, offsets) + Offsets::FRONT), (grid, answers + 64));
+    }
 }

@@ -25,16 +25,18 @@ const NOWHERE: u16 = PDO_MAX as u16;
 pub struct Offsets {
     control: u16,
     setpoint: u16,
-    /// The setpoint has 16 bits.
-    is_short: bool,
-    /// There are position targets that are not the setpoint.
-    pub follows: bool,
     status: u16,
     position: u16,
     velocity: u16,
     torque: u16,
-    fault: u16,
+    /// The setpoint has 16 bits.
+    is_short: bool,
+    /// There are position targets that are not the setpoint.
+    pub follows: bool,
+    /// It reports its position.
+    pub reports_position: bool,
     rest: Box<Rest>,
+    fault: u16,
 }
 
 /// The outputs without control word and setpoint.
@@ -50,6 +52,10 @@ struct Rest {
 }
 
 impl Offsets {
+    /// Bytes of what every exchange looks at.
+    #[cfg(test)]
+    pub(super) const FRONT: usize = std::mem::offset_of!(Offsets, rest);
+
     pub(super) fn new(drive: &KollmorgenDrive) -> Offsets {
         let (outputs, inputs) = (&drive.outputs, &drive.inputs);
         let sized = |layout: &Layout, object, bytes| {
@@ -68,6 +74,7 @@ impl Offsets {
         let rest = Rest::new(drive);
         Offsets {
             follows: !rest.actual.is_empty(),
+            reports_position: reports_position(drive),
             rest: Box::new(rest),
             control: sized(outputs, CONTROL_WORD, 2),
             setpoint,
@@ -145,6 +152,11 @@ impl Offsets {
     #[inline]
     pub fn position(&self, inputs: &[u8]) -> Option<i32> {
         get(inputs, self.position).map(i32::from_le_bytes)
+    }
+
+    /// Its inputs have a velocity.
+    pub fn reports_velocity(&self) -> bool {
+        self.velocity != NOWHERE
     }
 
     /// Its actual velocity.

@@ -54,6 +54,9 @@ pub struct Slaves {
     views: Box<[View]>,
     /// All are in operation with all of their process data, which was reported, and none has been changed since.
     pub are_settled: bool,
+    /// The one whose clock is the segment's was determined, and whether its time goes to all; and none has been changed
+    /// since.
+    pub(super) are_timed: bool,
 }
 
 impl Deref for Slaves {
@@ -68,7 +71,7 @@ impl Deref for Slaves {
 impl DerefMut for Slaves {
     #[inline]
     fn deref_mut(&mut self) -> &mut [Slave] {
-        self.are_settled = false;
+        (self.are_settled, self.are_timed) = (false, false);
         &mut self.slaves
     }
 }
@@ -81,7 +84,7 @@ impl Slaves {
             inputs: offsets.inputs.start as u16..offsets.inputs.end as u16,
             al: offsets.al as u16,
         };
-        Slaves { views: slaves.iter().map(view).collect(), slaves, are_settled: false }
+        Slaves { views: slaves.iter().map(view).collect(), slaves, ..Slaves::default() }
     }
 
     /// Adds what it touches besides itself, to be locked.

@@ -255,14 +255,19 @@ impl Segment {
 
     /// Prepares the first frame for `cycle`: clock and slot.
     pub fn prepare(&mut self, cycle: &Cycle, first: &mut Frame, handler: &mut impl Handler) {
-        self.refer();
-        self.begin_time();
-        let set = self.set_clock().map(Slave::station);
-        if set.is_none() {
+        let is_known = std::mem::replace(&mut self.slaves.are_timed, true);
+        if !is_known {
+            self.refer();
+            self.begin_time();
+        }
+        if !self.timed && self.set_clock().is_none() {
             self.clock.forget();
         }
         // It receives our time once it has shown that its own is near.
-        first.refer_to(set, self.timed, self.timed && !self.leads && self.clock.is_sent());
+        let follows = self.timed && !self.leads && self.clock.is_sent();
+        if !is_known || follows != first.is_followed() {
+            first.refer_to(self.set_clock().map(Slave::station), self.timed, follows);
+        }
         self.choose(cycle, handler);
         first.request(&self.ask);
     }
@@ -318,7 +323,9 @@ impl Segment {
             if let Some(time) = back.frame.time_of(back.received).filter(|_| is_there) {
                 self.clock.sample(&back.sent.cycle, back.sent.at, time);
             }
-            self.answer(back, handler);
+            if let Some(requester) = self.requester.take() {
+                self.answer(requester, back, handler);
+            }
         }
     }
 

@@ -74,20 +74,32 @@ impl Segment {
     }
 
     /// The request of slave `index`.
+    #[inline]
     fn request_of(&mut self, index: usize, cycle: &Cycle, handler: &mut impl Handler) -> Option<Requester> {
         let slave = &self.slaves[index];
-        let owner = slave.owner;
-        let service = handler.advance(owner, cycle.grid);
-        if slave.wants_nothing() {
-            // Usually only its mailbox may have a request.
-            if slave.way.mailbox_open
-                && let Some(service) = service
-            {
-                service.request(cycle.grid, &mut self.ask);
-            }
-            return (!self.ask.is_empty()).then_some(Requester::Mailbox(index));
+        let service = handler.advance(slave.owner, cycle.grid);
+        if !self.is_settled() && !slave.wants_nothing() {
+            return self.request_of_step(index, cycle, handler);
         }
+        // Usually only its mailbox may have a request.
+        if slave.way.mailbox_open
+            && let Some(service) = service
+        {
+            service.request(cycle.grid, &mut self.ask);
+        }
+        (!self.ask.is_empty()).then_some(Requester::Mailbox(index))
+    }
+
+    /// The same of one that is not up.
+    #[inline(never)]
+    fn request_of_step(
+        &mut self,
+        index: usize,
+        cycle: &Cycle,
+        handler: &mut impl Handler,
+    ) -> Option<Requester> {
         let slave = &mut self.slaves[index];
+        let owner = slave.owner;
         let mut service = handler.service(owner);
         if let Some(service) = &mut service {
             service.open(slave.way.mailbox_open);
@@ -136,8 +148,8 @@ impl Segment {
     }
 
     /// Passes the answers of the slot to its owner.
-    pub(super) fn answer(&mut self, back: &Back<'_>, handler: &mut impl Handler) {
-        let Some(requester) = self.requester.take() else { return };
+    #[inline(never)]
+    pub(super) fn answer(&mut self, requester: Requester, back: &Back<'_>, handler: &mut impl Handler) {
         let answers = back.frame.answers_of(back.received);
         match requester {
             Requester::Slave(index) => self.slave_received(back, index, &answers, handler),

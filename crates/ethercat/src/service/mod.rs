@@ -179,6 +179,7 @@ impl Service {
         self.calls.is_unsettled() || self.active.as_ref().is_some_and(is_commanding)
     }
 
+    #[inline(never)]
     fn go_on(&mut self, now: Time, link: Link) {
         let is_down = !self.open || matches!(link, Link::Unseen | Link::Lost);
         match &self.mailbox {

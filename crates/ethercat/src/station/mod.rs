@@ -16,16 +16,16 @@ pub mod requests;
 use self::requests::Requests;
 use super::counters::Own;
 use super::faults::Clearing;
-use super::native::{Native, native};
+use super::native::{Native, NativePort, native};
 use super::object::commanding;
 use super::plan::{KollmorgenDrive, Setpoint};
-use super::profile::{Inputs, Profile, reports_position};
+use super::profile::{Inputs, Profile};
 use super::service::Service;
 use super::wire::mailbox::Emergency;
 use super::wire::registers::AlState;
 use fieldbeat_core::axis::acyclic::{self, AcyclicEnds};
 use fieldbeat_core::axis::units::Unwrap;
-use fieldbeat_core::axis::{self, State, Units};
+use fieldbeat_core::axis::{self, State};
 use fieldbeat_core::bus::cia402::StatusWord;
 use fieldbeat_core::bus::desired::{Homing, Reference};
 use fieldbeat_core::bus::{Exchange, Slot};
@@ -39,19 +39,7 @@ const NAMED_WITHIN_NS: u64 = 100 * MS;
 const NAMED_TURNS: u64 = 6;
 const ANY_ERROR: u16 = 0x1000;
 
-/// What was read of a drive since it was switched on.
-#[derive(Clone, Copy, Debug, Default)]
-#[repr(C)]
-struct Seen {
-    /// The last position, and its slot of the grid; 0: there is none.
-    last: i64,
-    last_grid: Time,
-    inputs: Inputs,
-    actual: Unwrap,
-    demand: Unwrap,
-}
-
-/// The same of its faults.
+/// What was read of the faults of a drive since it was switched on.
 #[derive(Clone, Copy, Debug, Default)]
 struct Faults {
     /// The newest emergency that is no warning; code 0: none.
@@ -62,53 +50,56 @@ struct Faults {
 }
 
 /// One drive as the master sees it.
+///
+/// What every exchange touches is on four cache lines: two of `profile`, the one of the last report behind it, and the
+/// one of what values are made with, which the front of `native` shares.
 #[derive(Debug)]
-#[repr(C, align(64))] // What every exchange touches lies together: in `profile`, and behind it up to `units`.
+#[repr(C, align(64))]
 pub struct Station {
     faults: Faults,
     pub(super) requests: Requests,
     /// Its mailbox.
     pub service: Service,
-    /// What is desired as process data, and what the inputs prove.
-    pub profile: Profile,
-    pub(super) sent_grid: Time,
-    /// Since the last report nothing has changed that could show in the next one, if its status is the same: only
-    /// the values of its process data count then. That holds for exchanges before this slot; 0: for none.
-    steady_until: Time,
-    /// It reports its position.
-    reports_position: bool,
-    /// The setpoints of the outputs are its demand, and reach it.
-    led: bool,
-    /// The outputs of the last exchange reach the drive.
-    reached: bool,
-    /// What was read of it.
-    seen: Seen,
-    /// User units per count; user units/s of one count in a usual interval.
-    unit_per_count: f64,
-    rate: f64,
-    interval_ns: u64,
-    standstill: f64,
-    /// A per per mille; user units/s per count of 606Ch.
-    current_per_permille: f64,
-    units: Units,
-    velocity_per_count: f64,
+    named_within_ns: u64,
     /// A faster motion while it homes is not a valid velocity.
     most_velocity: f64,
     /// Its setpoint is a position, and it reports its own.
     has_place: bool,
     /// The slave's state; `None`: below SAFEOP, or not there.
     al: Option<AlState>,
-    named_within_ns: u64,
     /// It was found power-cycled, and that was not reported yet.
     was_restarted: bool,
     /// The application writes a parameter that may command the drive.
     commanded: bool,
+    demand: Unwrap,
+    /// What is desired as process data, and what the inputs prove.
+    pub profile: Profile,
+    pub(super) sent_grid: Time,
+    /// Since the last report nothing has changed that could show in the next one, if its status is the same: only
+    /// the values of its process data count then. That holds for exchanges before this slot; 0: for none.
+    steady_until: Time,
+    /// The last position, and its slot of the grid; 0: there is none since the drive was switched on.
+    last: i64,
+    last_grid: Time,
+    /// What was read last.
+    inputs: Inputs,
+    /// User units per count.
+    unit_per_count: f64,
+    /// User units/s per count of 606Ch; of a drive that does not report it, of one count of position in a usual
+    /// interval.
+    rate: f64,
+    interval_ns: u64,
+    /// One turn of a rotary axis in user units; 0: it is none.
+    turn: f64,
+    standstill: f64,
+    /// A per per mille.
+    current_per_permille: f64,
+    pub(super) native: NativePort,
 }
 
 impl Station {
     /// The station of `drive` for an exchange every `interval_ns`, whose mailbox has the slot again within `turn_ns`,
-    /// and the application's ends of its native process
-    /// data and of its acyclic access.
+    /// and the application's ends of its native process data and of its acyclic access.
     pub fn new(
         drive: &KollmorgenDrive,
         interval_ns: u64,
@@ -122,28 +113,33 @@ impl Station {
         let units = drive.axis.units;
         let unit_per_count = 1.0 / units.counts_per_unit;
         let per_minute = drive.scaling.increments() / 60.0 * unit_per_count;
-        let profile = Profile::new(drive, native);
+        let profile = Profile::new(drive);
+        let rate = match profile.offsets.reports_velocity() {
+            true => drive.scaling.rpm_per_count * per_minute,
+            false => unit_per_count * 1e9 / interval_ns.max(1) as f64,
+        };
         let station = Station {
-            units,
             unit_per_count,
-            velocity_per_count: drive.scaling.rpm_per_count * per_minute,
+            rate,
+            interval_ns,
+            turn: units.modulo.unwrap_or_default(),
             current_per_permille: drive.scaling.rated_current.map_or(f64::NAN, |rated| rated * 1e-3),
             standstill: drive.axis.stop.standstill,
             most_velocity: 2.0
                 * drive.axis.limits.velocity.unwrap_or_default().max(drive.axis.profile.velocity),
-            rate: unit_per_count * 1e9 / interval_ns.max(1) as f64,
-            interval_ns,
-            reports_position: reports_position(drive),
-            has_place: matches!(drive.setpoint(), Some(Setpoint::Position(_))) && reports_position(drive),
+            has_place: matches!(drive.setpoint(), Some(Setpoint::Position(_)))
+                && profile.offsets.reports_position,
             profile,
-            seen: Seen::default(),
+            native,
+            last: 0,
+            last_grid: Time(0),
+            inputs: Inputs::default(),
+            demand: Unwrap::default(),
             faults: Faults::default(),
             requests: Requests::new(drive),
             service: Service::new(&drive.slave, port, turn_ns),
             al: None,
             sent_grid: Time(0),
-            led: false,
-            reached: false,
             named_within_ns: NAMED_WITHIN_NS.max(NAMED_TURNS * turn_ns),
             was_restarted: false,
             commanded: false,
@@ -155,6 +151,7 @@ impl Station {
     /// Adds what it touches besides itself, to be locked.
     pub fn memory(&self, regions: &mut Regions) {
         self.profile.memory(regions);
+        self.native.memory(regions);
         self.service.memory(regions);
     }
 
@@ -166,9 +163,9 @@ impl Station {
     /// Writes the outputs of the exchange in slot `grid`.
     #[inline]
     pub fn encode(&mut self, grid: Time, slot: &Slot, outputs: &mut [u8]) {
-        let Seen { last, inputs, .. } = &self.seen;
+        let Station { last, inputs, profile, native, .. } = self;
         let actual = || (*last as i32, inputs.operational && inputs.state == State::OperationEnabled);
-        self.profile.encode(grid, &slot.desired, actual, outputs);
+        profile.encode(grid, &slot.desired, actual, native, outputs);
     }
 
     /// The slave has entered this state; `None`: below SAFEOP, or not on the segment.
@@ -191,7 +188,7 @@ impl Station {
 
     fn leave_operation(&mut self) {
         self.unsettle();
-        (self.seen.inputs.operational, self.led) = (false, false);
+        (self.inputs.operational, self.profile.sent.led) = (false, false);
         self.profile.dropped();
     }
 
@@ -201,18 +198,19 @@ impl Station {
         self.was_restarted = true;
         self.profile.drive_restarted();
         self.requests.forget();
-        (self.seen, self.faults) = (Seen::default(), Faults::default());
+        (self.last, self.last_grid, self.inputs) = (0, Time(0), Inputs::default());
+        (self.demand, self.faults) = (Unwrap::default(), Faults::default());
     }
 
     /// The frame with the prepared outputs went out.
     #[inline(always)] // As `take`.
     pub fn sent(&mut self, sent_at: Time, reply_by: Time, slot: &mut Slot) {
         self.owe(sent_at, reply_by, slot);
-        let is_new = self.profile.sent();
+        let is_new = self.profile.sent(&mut self.native);
         slot.gone.grid = Some(self.profile.grid);
         if is_new || self.profile.grid >= self.steady_until {
             self.unsettle();
-            self.reached = true;
+            self.profile.sent.reached = true;
             self.request();
             self.profile.sent_anew();
         }
@@ -222,7 +220,7 @@ impl Station {
     pub fn open(&mut self, sent_at: Time, reply_by: Time, slot: &mut Slot) {
         self.unsettle();
         self.owe(sent_at, reply_by, slot);
-        self.reached = false;
+        self.profile.sent.reached = false;
         self.request();
     }
 
@@ -265,17 +263,17 @@ impl Station {
     #[inline(always)] // Of each drive and cycle: a call would cost a sixth of it.
     pub fn take(&mut self, at: Time, inputs: &[u8], al: AlState, slot: &mut Slot) {
         let Exchange::Owed { sent_at, .. } = slot.exchange else { return };
-        let is_same = self.profile.offsets.status(inputs) == Some(self.seen.inputs.status.0);
+        let is_same = self.profile.offsets.status(inputs) == Some(self.inputs.status.0);
         if !is_same || self.steady_until == Time(0) || al != AlState::Op || slot.anew {
             return self.take_anew(at, inputs, al, slot);
         }
         slot.exchange = Exchange::Answered { sent_at, at, suspect: false };
         slot.counters.answered += 1;
         self.profile.answered();
-        self.take_values(inputs);
-        self.profile.prove_values(&self.seen.inputs, &mut slot.evidence);
+        self.take_values(inputs, false);
+        self.profile.prove_values(&self.inputs, &mut slot.evidence);
         self.report_values(at, inputs, slot);
-        self.profile.publish(at, inputs);
+        self.publish(at, inputs);
     }
 
     /// The same where more may have changed than the values.
@@ -296,22 +294,22 @@ impl Station {
             self.profile.answered();
         } else {
             Own::NotOperational.count(&mut slot.counters);
-            if self.seen.inputs.operational {
+            if self.inputs.operational {
                 self.leave_operation();
             }
         }
-        self.led = operational && self.reached && self.profile.writes();
-        self.seen.inputs.operational = operational;
-        self.profile.publish(at, inputs);
+        self.profile.sent.led = operational && self.profile.sent.reached && self.profile.writes();
+        self.inputs.operational = operational;
+        self.publish(at, inputs);
         self.unsettle();
         if let Some(status) = status {
             self.read(at, StatusWord(status), inputs, slot);
-            let is_steady = self.reached
+            let is_steady = self.profile.sent.reached
                 && operational
                 && !self.commanded
                 && (self.faults.emergency.code, self.faults.faulted_at) == (0, None)
                 && self.requests.are_idle(self.profile.mode_wanted())
-                && self.profile.is_steady(&self.seen.inputs);
+                && self.profile.is_steady(&self.inputs);
             if is_steady {
                 self.steady_until = self.requests.next_show;
             }
@@ -335,39 +333,36 @@ impl Station {
 
     /// The drive's report, in user units.
     fn read(&mut self, at: Time, status: StatusWord, received: &[u8], slot: &mut Slot) {
-        let before = self.seen.inputs.status;
-        (self.seen.inputs.state, self.seen.inputs.status) = (status.state(), status);
+        let before = self.inputs.status;
+        (self.inputs.state, self.inputs.status) = (status.state(), status);
         let homing = self.profile.is_homing();
         if homing {
             // The positions have a new origin.
-            self.seen.actual.reset();
-            self.seen.demand.reset();
+            self.demand.reset();
             if self.profile.is_finding_home() {
                 self.requests.request_reference();
             }
         }
-        let velocity = self.seen.inputs.velocity;
-        self.take_values(received);
+        let velocity = self.inputs.velocity;
+        self.take_values(received, homing || self.last_grid == Time(0));
         if homing && self.profile.offsets.velocity(received).is_none() {
             let attained = status.0 & !before.0 & StatusWord::MODE_12 != 0;
-            if attained || self.seen.inputs.velocity.abs() > self.most_velocity {
+            if attained || self.inputs.velocity.abs() > self.most_velocity {
                 // That was no motion.
-                self.seen.inputs.velocity = velocity;
+                self.inputs.velocity = velocity;
             }
         }
         self.take_fault(at, received);
         let Slot { status: report, notices, evidence, .. } = slot;
         report.suspect = false;
         notices.restarted |= std::mem::take(&mut self.was_restarted);
-        report.state = match self.seen.inputs.state {
+        report.state = match self.inputs.state {
             // Below OP it follows no setpoint.
-            State::OperationEnabled | State::QuickStopActive if !self.seen.inputs.operational => {
-                State::SwitchedOn
-            }
+            State::OperationEnabled | State::QuickStopActive if !self.inputs.operational => State::SwitchedOn,
             state => state,
         };
-        self.seen.inputs.is_powered = report.state.is_powered();
-        let inputs = &self.seen.inputs;
+        self.inputs.is_powered = report.state.is_powered();
+        let inputs = &self.inputs;
         self.profile.look(inputs);
         self.profile.prove(inputs, self.requests.mode(), evidence);
         if let Some(homing) = self.profile.homing_sent(evidence.homing) {
@@ -387,24 +382,29 @@ impl Station {
                 notices.refuse_monitor(channel, status);
             }
         }
-        self.led &= self.has_place && !homing && !self.profile.is_native();
+        self.profile.sent.led &= self.has_place && !homing && !self.profile.is_native();
         self.report_values(at, received, slot);
     }
 
-    /// The actual position, not folded, and the velocity.
+    /// The actual position, not folded, and the velocity. `begins`: the positions before have another origin, or there
+    /// are none.
     #[inline(always)] // As `report_values`.
-    fn take_values(&mut self, inputs: &[u8]) {
+    fn take_values(&mut self, inputs: &[u8], begins: bool) {
         let velocity = self.profile.offsets.velocity(inputs);
+        if let Some(velocity) = velocity {
+            self.inputs.velocity = f64::from(velocity) * self.rate;
+        }
         if let Some(raw) = self.profile.offsets.position(inputs) {
-            let count = self.seen.actual.next(raw);
+            // The one that is congruent and nearest to the last one.
+            let count = match begins {
+                true => i64::from(raw),
+                false => self.last + i64::from(raw.wrapping_sub(self.last as i32)),
+            };
             if velocity.is_none() {
                 self.differ(count);
             }
-            (self.seen.last, self.seen.last_grid) = (count, self.sent_grid);
-            self.seen.inputs.position = count as f64 * self.unit_per_count + self.units.offset;
-        }
-        if let Some(velocity) = velocity {
-            self.seen.inputs.velocity = f64::from(velocity) * self.velocity_per_count;
+            (self.last, self.last_grid) = (count, self.sent_grid);
+            self.inputs.position = count as f64 * self.unit_per_count + self.profile.origin;
         }
     }
 
@@ -412,42 +412,60 @@ impl Station {
     #[inline(always)] // It has two callers, and is most of what the usual one does.
     fn report_values(&mut self, at: Time, received: &[u8], slot: &mut Slot) {
         let Slot { status: report, notices, evidence, .. } = slot;
-        let (inputs, units) = (&self.seen.inputs, &self.units);
+        let inputs = &self.inputs;
         notices.fresh = true;
         report.at = at;
         let is_led_on = self.profile.is_moving();
         report.moving = inputs.is_powered && (is_led_on || inputs.velocity.abs() > self.standstill);
-        report.in_target = inputs.status.has(StatusWord::TARGET_REACHED) && !(self.led && is_led_on);
-        report.position = if self.reports_position { units.folded(inputs.position) } else { f64::NAN };
+        report.in_target =
+            inputs.status.has(StatusWord::TARGET_REACHED) && !(self.profile.sent.led && is_led_on);
+        report.position =
+            if self.profile.offsets.reports_position { self.folded(inputs.position) } else { f64::NAN };
         (report.demand, evidence.demand) = (report.position, inputs.position);
-        if self.led {
-            let count = self.seen.demand.next(self.profile.setpoint_sent());
-            evidence.demand = count as f64 * self.unit_per_count + units.offset;
-            report.demand = units.folded(evidence.demand);
+        if self.profile.sent.led {
+            let count = self.demand.next(self.profile.setpoint_sent());
+            evidence.demand = count as f64 * self.unit_per_count + self.profile.origin;
+            report.demand = self.folded(evidence.demand);
         }
         report.velocity = inputs.velocity;
         let torque = self.profile.offsets.torque(received);
         report.current = torque.map_or(f64::NAN, |torque| f64::from(torque) * self.current_per_permille);
     }
 
+    /// A position on a rotary axis within one turn.
+    #[inline]
+    fn folded(&self, position: f64) -> f64 {
+        if self.turn == 0.0 { position } else { position.rem_euclid(self.turn) }
+    }
+
+    /// Publishes the inputs to the application.
+    #[inline]
+    fn publish(&mut self, at: Time, inputs: &[u8]) {
+        match inputs.try_into() {
+            // Those of most drives.
+            Ok(inputs) => self.native.publish_array::<8>(at, 0, inputs),
+            Err(_) => self.native.publish(at, 0, inputs),
+        }
+    }
+
     /// The velocity of a drive that reports none: the distance since the last exchange.
     #[inline]
     fn differ(&mut self, count: i64) {
-        let passed_ns = self.sent_grid.since(self.seen.last_grid);
-        let way = (count - self.seen.last) as f64;
+        let passed_ns = self.sent_grid.since(self.last_grid);
+        let way = (count - self.last) as f64;
         if passed_ns == self.interval_ns {
-            self.seen.inputs.velocity = way * self.rate;
-        } else if self.seen.last_grid == Time(0) {
-            self.seen.inputs.velocity = 0.0;
+            self.inputs.velocity = way * self.rate;
+        } else if self.last_grid == Time(0) {
+            self.inputs.velocity = 0.0;
         } else if passed_ns > 0 {
-            self.seen.inputs.velocity = way * self.unit_per_count * 1e9 / passed_ns as f64;
+            self.inputs.velocity = way * self.unit_per_count * 1e9 / passed_ns as f64;
         }
     }
 
     /// Takes what is known of the fault in the status.
     #[inline]
     fn take_fault(&mut self, at: Time, received: &[u8]) {
-        let inputs = &mut self.seen.inputs;
+        let inputs = &mut self.inputs;
         if !matches!(inputs.state, State::Fault | State::FaultReactionActive) {
             // An emergency that no fault has followed by then names no later one.
             let is_over =
