@@ -129,7 +129,7 @@ impl EthercatBus {
         }
     }
 
-    /// A frame that is not one of this master's last frames.
+    /// Counts such a frame, and looks whether another master sends them.
     #[cold]
     fn take_unknown(&mut self, sender: UnknownSender, at: Time, received: &[u8], slots: &mut [Slot]) {
         match sender {

@@ -549,13 +549,13 @@ fn rounded(value: f64) -> f64 {
 mod tests {
     use super::*;
 
-    /// An exchange that finds them elsewhere is none the wrong one, but a slow one.
+    /// If another field of `state` moves them, one of the rare ones in front of it moves behind `offsets`, or back.
     #[test]
     fn what_every_exchange_touches_is_on_two_cache_lines() {
         use std::mem::offset_of;
         let (grid, answers) = (offset_of!(Profile, grid), offset_of!(Profile, answers));
-        assert_eq!((grid % 64, answers), (32, grid + 32));
-        let state = offset_of!(Profile, state) + size_of::<Prepared<State>>();
-        assert_eq!((state, offset_of!(Profile, offsets) + Offsets::FRONT), (grid, answers + 64));
+        assert_eq!((offset_of!(Profile, state) + size_of::<Prepared<State>>(), grid % 64), (grid, 32));
+        assert_eq!(answers, grid + 32);
+        assert!(offset_of!(Profile, offsets) <= answers + 48);
     }
 }

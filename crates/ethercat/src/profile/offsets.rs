@@ -21,7 +21,7 @@ const NOWHERE: u16 = PDO_MAX as u16;
 
 /// The offsets of the values in the outputs and inputs.
 #[derive(Clone, Debug)]
-#[repr(C)] // Dense, before what is rarely used.
+#[repr(C)] // Dense, 16 bytes before what is rarely used.
 pub struct Offsets {
     control: u16,
     setpoint: u16,
@@ -52,10 +52,6 @@ struct Rest {
 }
 
 impl Offsets {
-    /// Bytes of what every exchange looks at.
-    #[cfg(test)]
-    pub(super) const FRONT: usize = std::mem::offset_of!(Offsets, rest);
-
     pub(super) fn new(drive: &KollmorgenDrive) -> Offsets {
         let (outputs, inputs) = (&drive.outputs, &drive.inputs);
         let sized = |layout: &Layout, object, bytes| {

@@ -99,7 +99,7 @@ pub fn datagrams(frame: &[u8]) -> Result<Datagrams<'_>, FrameError> {
 pub fn first_datagram<const N: usize>(frame: &[u8]) -> Option<(u8, &[u8; N])> {
     let header = frame.first_chunk::<{ HEADER + DATAGRAM_HEADER }>()?;
     let data = frame.get(HEADER + DATAGRAM_HEADER..)?.first_chunk::<N>()?;
-    // Ethertype and length, and the first eight bytes of the datagram, whole: a check for each of their bytes costs more.
+    // Each of them whole: to check them byte by byte costs more.
     let kind = u32::from_le_bytes(*header[ETHERTYPE_AT..].first_chunk()?);
     let first = u64::from_le_bytes(*header[HEADER..].first_chunk()?);
     let length = |word: u64| word as usize & usize::from(LENGTH_MASK);
