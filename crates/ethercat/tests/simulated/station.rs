@@ -438,8 +438,7 @@ fn objects_are_shown_in_turns_and_a_refusal_is_told_once() {
     let (mut refusals, mut shown) = (0, 0);
     for _ in 0..1_000 {
         rig.turn();
-        refusals +=
-            u32::from(rig.slot.notices.monitor_refused.take().is_some_and(|(channel, _)| channel == 2));
+        refusals += u32::from(rig.slot.notices.take_refused().is_some_and(|(channel, _)| channel == 2));
         shown += u32::from(std::mem::take(&mut rig.slot.notices.monitor_fresh));
     }
     let mode = f64::from(Mode::DIGITAL_VELOCITY.0);
