@@ -515,11 +515,11 @@ pub struct Notices {
 }
 
 impl Notices {
-    /// There is a fresh status, and nothing else.
+    /// There is a fresh status, and nothing else but monitored variables of it.
     #[inline]
-    pub fn is_fresh_only(&self) -> bool {
-        let Notices { restarted, other_master, monitor_fresh, has_more, .. } = *self;
-        self.fresh && !(restarted | other_master | monitor_fresh | has_more)
+    pub fn is_report_only(&self) -> bool {
+        let Notices { restarted, other_master, has_more, .. } = *self;
+        self.fresh && !(restarted | other_master | has_more)
     }
 
     /// There is an emergency, or a refused variable.

@@ -275,7 +275,7 @@ impl Watch {
         let fastest = limits.velocity.map_or(fastest, |limit| fastest.max(OVER_LIMIT * limit));
         let speed = limits.velocity.map_or(fastest, |limit| (OVER_LIMIT * limit).max(pushed));
         let rounding = COUNTS / plan.units.counts_per_unit.abs();
-        let (low, high) = limits.position.unwrap_or((f64::MIN, f64::MAX));
+        let (low, high) = limits.position.unwrap_or((-Bounds::NO_LIMIT, Bounds::NO_LIMIT));
         Watch {
             held: Sample::default(),
             settles_until: Time(0),
@@ -313,7 +313,7 @@ impl Watch {
                 shift_ns: SHIFT_NS.max(interval_ns),
                 following: plan.most_following_error(behind_ns).unwrap_or(f64::INFINITY),
                 behind_s: behind_ns as f64 * 1e-9,
-                velocity: limits.velocity.map_or(f64::MAX, |limit| limit * SPEED_MARGIN),
+                velocity: limits.velocity.map_or(Bounds::NO_LIMIT, |limit| limit * SPEED_MARGIN),
                 low: low - rounding,
                 high: high + rounding,
                 turn: plan.units.modulo.unwrap_or(0.0),
@@ -457,8 +457,9 @@ impl Watch {
         }
         let Watch { bounds, velocity, last, .. } = &*self;
         // An unknown value is not inside, nor is it certainly outside.
-        let stands = *velocity == 0.0;
-        let inside = stands || !watched.braking && last.shown >= bounds.low && last.shown <= bounds.high;
+        let inside = bounds.high == Bounds::NO_LIMIT
+            || *velocity == 0.0
+            || !watched.braking && last.shown >= bounds.low && last.shown <= bounds.high;
         let usual = velocity.abs() <= bounds.velocity && inside && !watched.homing;
         let forbidden = !usual && self.is_forbidden(watched);
         self.broken.prove(forbidden, self.velocity)
@@ -526,6 +527,9 @@ impl Watch {
 }
 
 impl Bounds {
+    /// Where there is no limit, every number is within this.
+    const NO_LIMIT: f64 = f64::MAX;
+
     /// How far the axis can go at this speed from the `place` to where it is reported at `at`: the drive took the first
     /// position after its request had left, and the second one before its reply came in.
     #[inline]

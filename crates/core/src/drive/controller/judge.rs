@@ -84,7 +84,7 @@ impl DriveController {
             _ => return None,
         };
         if slot.has_earlier | slot.reachable
-            || !slot.notices.is_fresh_only()
+            || !slot.notices.is_report_only()
             || !self.health.is_clean()
             || self.feedback.link != Link::Online
             || self.rising > 0

@@ -24,8 +24,8 @@ const RELEASE_S: f64 = 0.1;
 /// A position limit is checked so many intervals ahead of the braking distance.
 const AHEAD: f64 = 3.0;
 
-/// The setpoint over time.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+/// The setpoint over time. What each send touches is its first cache line.
+#[derive(Clone, Copy, Debug, PartialEq)]
 #[repr(C)]
 pub(super) struct Course {
     /// The setpoint follows `motion`; otherwise it is neutral.
@@ -34,16 +34,35 @@ pub(super) struct Course {
     away: bool,
     /// A standstill, a velocity or a torque that the motion has come to, and keeps: the next setpoint is the last one.
     pub(super) is_constant: bool,
-    /// What it was requested to be then, before it was limited.
-    level: f64,
     /// How much of the motion was sent, and the point there.
     passed_ns: u64,
     demand: Point,
     /// The same with the next send.
     next_ns: u64,
     next: Point,
-    sent_at: Option<Time>,
+    /// The slot of the last send, or [`NEVER`](Self::NEVER).
+    sent_at: Time,
+    /// What it was requested to be when it became constant, before it was limited.
+    level: f64,
     motion: Trajectory,
+}
+
+impl Default for Course {
+    fn default() -> Course {
+        let (demand, next) = (Point::default(), Point::default());
+        Course {
+            leads: false,
+            away: false,
+            is_constant: false,
+            passed_ns: 0,
+            demand,
+            next_ns: 0,
+            next,
+            sent_at: Course::NEVER,
+            level: 0.0,
+            motion: Trajectory::default(),
+        }
+    }
 }
 
 /// At a velocity or a torque.
@@ -58,6 +77,9 @@ pub(super) struct Turning {
 }
 
 impl Course {
+    /// Nothing was sent.
+    const NEVER: Time = Time(u64::MAX);
+
     pub(super) fn leads(&self) -> bool {
         self.leads
     }
@@ -84,7 +106,7 @@ impl Course {
 
     #[inline]
     pub(super) fn sent(&mut self, grid: Time) {
-        (self.passed_ns, self.demand, self.sent_at) = (self.next_ns, self.next, Some(grid));
+        (self.passed_ns, self.demand, self.sent_at) = (self.next_ns, self.next, grid);
     }
 
     /// Starts a motion after the setpoints that were sent.
@@ -211,7 +233,10 @@ impl State {
             return end;
         }
         let course = &mut self.course;
-        let waited = course.sent_at.map_or(view.rules.interval_ns, |sent_at| view.now.since(sent_at));
+        let waited = match course.sent_at {
+            Course::NEVER => view.rules.interval_ns,
+            sent_at => view.now.since(sent_at),
+        };
         // Nothing delays the stop of a velocity or torque; a position must not jump.
         let stops = matches!(self.step, Step::Stopping | Step::Limited(_));
         let most = match view.rules.quantity {
