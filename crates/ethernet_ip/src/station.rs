@@ -57,7 +57,7 @@ pub struct Station {
     is_quiet: bool,
     /// The outbox has so many bytes, those of `packet` but for its numbers; 0: it has others.
     copied: u8,
-    /// There is a packet whose values were taken last.
+    /// There was a packet: the values of the last one are there.
     has_last: bool,
     /// The connection that is open.
     open: Option<Open>,

@@ -97,6 +97,12 @@ impl Bells {
         std::mem::take(&mut self.any_rung)
     }
 
+    /// None has rung that was not silenced.
+    #[inline]
+    pub fn are_silent(&self) -> bool {
+        self.rung.iter().all(|bits| *bits == 0)
+    }
+
     /// The axes whose bells have rung and were not silenced, in their order.
     pub fn rung(&self) -> impl Iterator<Item = usize> {
         let words = self.rung.iter().enumerate();
@@ -130,8 +136,9 @@ mod tests {
         for axis in [0, 63, 64, 129] {
             ends[axis].ring();
             assert!(bells.take() && bells.take(), "{axis}");
-            assert_eq!(bells.rung().collect::<Vec<_>>(), [axis]);
+            assert_eq!((bells.rung().collect::<Vec<_>>(), bells.are_silent()), (vec![axis], false));
             bells.silence(|_| false);
+            assert!(bells.are_silent());
             assert!(!bells.take(), "{axis}");
         }
         for axis in [129, 64, 65] {

@@ -284,7 +284,7 @@ pub struct Slot {
     pub earlier: Earlier,
 }
 
-// What lies together begins with a cache line, or ends with one.
+// Each group begins or ends with a cache line.
 const _: () = {
     assert!(offset_of!(Slot, counters) + 2 * size_of::<u64>() == 64);
     assert!((offset_of!(Slot, status) + offset_of!(DriveStatus, monitor)).is_multiple_of(64));
@@ -510,7 +510,7 @@ pub struct Notices {
     pub other_master: bool,
     /// The monitored variables of the status came with the newest reply: not every reply carries them.
     pub monitor_fresh: bool,
-    /// There is one of the first two.
+    /// An emergency or a refused variable was not taken yet.
     has_more: bool,
 }
 

@@ -157,6 +157,9 @@ pub struct Engine<C> {
     changed: bool,
     /// A drive has reported monitored variables in this cycle.
     shows: bool,
+    /// No axis has anything to begin or to plan in this cycle: each was armed as it was evaluated. It saves a pass over
+    /// all of them, which takes 40 instructions and three misses of the first-level cache a drive.
+    armed: bool,
     /// The loop was awake before the grid point of this slot.
     spun: bool,
     /// The previous executed cycle was late.
@@ -289,6 +292,7 @@ impl<C: Clock> Engine<C> {
             changed: true,
             reference,
             shows: false,
+            armed: false,
             spun: false,
             was_late: false,
             wake_before_ns: None,

@@ -72,7 +72,7 @@ pub struct Queues {
 ///
 /// What each cycle touches lies on as few cache lines as possible: one that all stages look at, with the head of the
 /// duty; one of the link and of the largest times, with the head of the health; the end of the watch and the feedback up
-/// to its status; the begin of the machine. The rest lies between and behind them.
+/// to its status; the beginning of the machine. The rest lies between and behind them.
 #[derive(Debug)]
 #[repr(C, align(64))]
 pub struct DriveController {
@@ -155,7 +155,7 @@ pub struct DriveController {
     monitor: [Option<Extent>; MONITOR_CHANNELS],
 }
 
-// What lies together begins with a cache line, or ends with one.
+// Each group begins or ends with a cache line.
 const _: () = {
     assert!((offset_of!(DriveController, duty) + Duty::USUAL).is_multiple_of(64));
     assert!(offset_of!(DriveController, largest).is_multiple_of(64));
@@ -363,7 +363,7 @@ impl DriveController {
     }
 
     /// Publishes the feedback; returns the telemetry record of this cycle, as that of axis `axis`. `noted` becomes true
-    /// if there are notes for the telemetry, or if something was lost.
+    /// if there are notes for the telemetry, or losses.
     #[inline(always)] // Its record is built in the ring.
     pub fn publish(&mut self, axis: u16, noted: &mut bool) -> DriveRecord {
         self.feedback.write_to(&mut self.outlet, self.shows, self.shown);

@@ -224,7 +224,8 @@ struct Bounds {
     following: f64,
     /// The age of an actual position against the demand of its report, s.
     behind_s: f64,
-    /// A demand that is no faster, and lies between these, breaks no limit.
+    /// A demand that is no faster, and lies between these, breaks no limit. `low` is above `high`: there are no limits of
+    /// positions.
     velocity: f64,
     low: f64,
     high: f64,
@@ -275,7 +276,7 @@ impl Watch {
         let fastest = limits.velocity.map_or(fastest, |limit| fastest.max(OVER_LIMIT * limit));
         let speed = limits.velocity.map_or(fastest, |limit| (OVER_LIMIT * limit).max(pushed));
         let rounding = COUNTS / plan.units.counts_per_unit.abs();
-        let (low, high) = limits.position.unwrap_or((-Bounds::NO_LIMIT, Bounds::NO_LIMIT));
+        let (low, high) = limits.position.unwrap_or((f64::INFINITY, f64::NEG_INFINITY));
         Watch {
             held: Sample::default(),
             settles_until: Time(0),
@@ -313,7 +314,7 @@ impl Watch {
                 shift_ns: SHIFT_NS.max(interval_ns),
                 following: plan.most_following_error(behind_ns).unwrap_or(f64::INFINITY),
                 behind_s: behind_ns as f64 * 1e-9,
-                velocity: limits.velocity.map_or(Bounds::NO_LIMIT, |limit| limit * SPEED_MARGIN),
+                velocity: limits.velocity.map_or(f64::MAX, |limit| limit * SPEED_MARGIN),
                 low: low - rounding,
                 high: high + rounding,
                 turn: plan.units.modulo.unwrap_or(0.0),
@@ -455,17 +456,22 @@ impl Watch {
         if !std::mem::take(&mut self.fresh) {
             return false;
         }
-        let Watch { bounds, velocity, last, .. } = &*self;
-        // An unknown value is not inside, nor is it certainly outside.
-        let inside = bounds.high == Bounds::NO_LIMIT
-            || *velocity == 0.0
-            || !watched.braking && last.shown >= bounds.low && last.shown <= bounds.high;
-        let usual = velocity.abs() <= bounds.velocity && inside && !watched.homing;
-        let forbidden = !usual && self.is_forbidden(watched);
+        let forbidden = !self.is_allowed(watched) && self.is_forbidden(watched);
         self.broken.prove(forbidden, self.velocity)
     }
 
-    /// The same of a motion that is none of the usual ones.
+    /// By what a usual report is compared with alone, it is certainly not forbidden.
+    #[inline]
+    fn is_allowed(&self, watched: Watched) -> bool {
+        let Watch { bounds, velocity, last, .. } = self;
+        // An unknown value is not inside, nor is it certainly outside.
+        let inside = bounds.low > bounds.high
+            || *velocity == 0.0
+            || !watched.braking && last.shown >= bounds.low && last.shown <= bounds.high;
+        velocity.abs() <= bounds.velocity && inside && !watched.homing
+    }
+
+    /// Whether it is forbidden, in any motion.
     #[inline(never)]
     fn is_forbidden(&self, Watched { homing, braking }: Watched) -> bool {
         let (Watch { rules, rest, velocity, .. }, sample) = (self, &self.last);
@@ -527,9 +533,6 @@ impl Watch {
 }
 
 impl Bounds {
-    /// Where there is no limit, every number is within this.
-    const NO_LIMIT: f64 = f64::MAX;
-
     /// How far the axis can go at this speed from the `place` to where it is reported at `at`: the drive took the first
     /// position after its request had left, and the second one before its reply came in.
     #[inline]

@@ -100,26 +100,26 @@ impl EthercatBus {
             return self.count(Some(frame), slots, |counters| counters.duplicate += 1);
         }
         let flight = &self.flights[frame];
-        let Some(sent) = flight.sent.as_ref().filter(|_| flight.number == number) else {
+        let Some(sent) = flight.sent.filter(|_| flight.number == number) else {
             self.known[place].answered = true;
             return self.count(Some(frame), slots, |counters| counters.late += 1);
         };
         match self.image.frames()[frame].read(received) {
             Read::Good(counter) => {
                 self.known[place].answered = true;
+                (self.flights[frame].sent, self.flights[frame].back) = (None, true);
                 self.missing -= 1;
                 self.silent = 0;
                 let is_other = self.other.is_there(at);
                 self.wire.set(0, if is_other { WireNote::OtherMaster } else { WireNote::None });
                 if !in_window {
                     // Too late for the exchanges of the drives, but not for what proceeds step by step.
-                    self.count_late(frame, sent, slots);
+                    self.count_late(frame, &sent, slots);
                 }
-                let back =
-                    Back { sent, frame: &self.image.frames()[frame], at, received, counter, in_window };
+                let image = &self.image.frames()[frame];
+                let back = Back { sent: &sent, frame: image, at, received, counter, in_window };
                 let (drives, devices) = (&mut self.drives[..], &mut self.devices[..]);
                 self.segment.receive(&back, frame, &mut Endpoints { drives, devices, slots });
-                (self.flights[frame].sent, self.flights[frame].back) = (None, true);
                 if std::mem::take(&mut self.segment.lowered) {
                     other_master(slots);
                 }

@@ -65,7 +65,7 @@ struct EthercatBus {
     known: Box<[Known; KNOWN]>,
     /// For each frame of the image: when it was sent, and whether it is still under way.
     flights: Box<[Flight]>,
-    /// How many of them are not back: each is after it was sent, or could not be sent.
+    /// How many frames of the last send are not back; one that could not be sent counts, too.
     missing: usize,
     room: Box<[u8]>,
     /// The first frame is prepared for the next send.

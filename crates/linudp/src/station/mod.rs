@@ -61,7 +61,7 @@ const BEFORE: usize = (LINE - (size_of::<Profile>() - Profile::TOUCHED) % LINE) 
 const UNSETTLED: u64 = u64::MAX;
 
 /// One drive. What each exchange touches lies on four lines of the cache: the requests need the first one, from the end
-/// of the profile to the start of the identity, and the look for a call; the replies need the first one, and the two
+/// of the profile to the start of the identity, and the check for a call; the replies need the first one, and the two
 /// from `settled` to the start of `native`.
 #[derive(Debug)]
 #[repr(C, align(64))]

@@ -23,7 +23,7 @@ impl Channels {
         controller.take_lost()
     }
 
-    /// Publishes a drive, with the monitored variables that it has shown. Returns whether it has notes.
+    /// Publishes a drive, with the monitored variables that it has shown. Returns whether it has notes or losses.
     #[inline(always)] // In the usual cycle.
     fn publish(&mut self, axis: usize, controller: &mut DriveController, lost: &mut u64) -> bool {
         let mut noted = false;
@@ -86,7 +86,7 @@ impl<C: Clock> Engine<C> {
     }
 
     /// Publishes one drive after the other, with the monitored variables that it has shown. Returns whether an axis has
-    /// notes.
+    /// notes or losses.
     #[inline(never)]
     pub(super) fn publish_each(&mut self) -> bool {
         let mut noted = false;

@@ -30,9 +30,10 @@ impl<C: Clock> Engine<C> {
         take_commands(&mut self.controllers, &mut self.channels.bells);
         let (mut missed, mut stopped) = (0_u16, false);
         let (mut operational, mut online) = (0, 0);
-        self.shows = false;
+        (self.shows, self.armed) = (false, true);
         for (controller, slot) in self.controllers.iter_mut().zip(&mut self.slots) {
             let reply = controller.evaluate(cycle, now, slot);
+            self.armed = self.armed && controller.arm(cycle, slot);
             if reply == Reply::Missed {
                 self.status.missed += controller.take_misses();
                 missed += u16::from(controller.was_online());
@@ -68,6 +69,7 @@ impl<C: Clock> Engine<C> {
             stopped = true;
         }
         if stopped {
+            self.armed = false;
             self.take_groups_along(cycle, now);
         }
         missed
@@ -80,6 +82,8 @@ impl<C: Clock> Engine<C> {
         if take_calls(&mut self.controllers, &mut self.channels.bells) {
             // Before an axis writes what is desired: those of a group are for all of its members.
             self.groups.take_setpoints(cycle, &mut self.controllers);
+        } else if self.armed && self.task.is_none() && self.channels.bells.are_silent() {
+            return Left::Nothing;
         }
         let (mut calls, mut stops, mut rows) = (false, false, false);
         let with_task = self.task.is_some();

@@ -84,6 +84,20 @@ impl DriveController {
         }
     }
 
+    /// Arms the next send at once if [`exchange`](Self::exchange) has nothing to do in this cycle, nor
+    /// [`propose`](Self::propose), nor [`feed`](Self::feed). False: they are to be called.
+    #[inline(always)] // Once for each axis and cycle.
+    pub fn arm(&self, cycle: &Cycle, slot: &mut Slot) -> bool {
+        let rests = !(self.called | self.takes_along() | self.follows_rows())
+            && cycle.index < self.ages_at
+            && self.feedback.link == Link::Online
+            && self.machine.keeps(slot);
+        if rests {
+            (slot.due, slot.guarded) = (self.is_due(cycle.index + 1), self.is_guarded());
+        }
+        rests
+    }
+
     #[inline(never)]
     fn exchange_all(&mut self, cycle: &Cycle, now: Time, slot: &Slot) {
         self.waiting = None;

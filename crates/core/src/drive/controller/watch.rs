@@ -29,7 +29,7 @@ impl DriveController {
 
     /// Watches an axis that has power, and runs one cycle of its stop sequence. An axis in operation that the loop
     /// leads, or nothing, has a way of its own: it saves 68 instructions a drive and cycle.
-    #[inline(always)] // Once for each axis and cycle, of a fresh report.
+    #[inline(always)] // Once for each axis and usual cycle.
     pub(super) fn watch(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot, fresh: bool, restarted: bool) {
         self.called |= self.machine.observe(cycle.grid, restarted, slot);
         slot.notices.fresh = false;

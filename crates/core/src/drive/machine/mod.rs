@@ -238,10 +238,16 @@ impl Machine {
         (self.command, self.waiting.map(|waiting| waiting.since))
     }
 
+    /// What is desired of the drive with the next send is in the slot.
+    #[inline(always)] // Once for each axis and cycle.
+    pub fn keeps(&self, slot: &Slot) -> bool {
+        self.waiting.is_none() && self.state.left().keeps_setpoint(&self.input, slot)
+    }
+
     /// Writes what is desired of the drive with the send in slot `grid`. Returns whether the newest command has ended.
     #[inline]
     pub fn propose(&mut self, grid: Time, slot: &mut Slot) -> bool {
-        if self.waiting.is_none() && self.state.left().keeps_setpoint(&self.input, slot) {
+        if self.keeps(slot) {
             return false;
         }
         self.plan(grid, slot);

@@ -456,3 +456,38 @@ fn an_axis_whose_command_failed_brakes_and_does_not_speed_up() {
         assert_eq!(trips_at(Phase::Failed, &stop(), 1, reports), tripped, "{what}");
     }
 }
+
+#[test]
+fn what_the_quick_comparison_allows_is_not_forbidden() {
+    let random = &mut fastrand::Rng::with_seed(1);
+    let value = |random: &mut fastrand::Rng| match random.u8(..12) {
+        0 => f64::NAN,
+        1 => f64::INFINITY,
+        2 => f64::NEG_INFINITY,
+        3 => f64::MAX,
+        4 => f64::MIN,
+        5 | 6 => 0.0,
+        _ => (random.f64() - 0.5) * 400.0,
+    };
+    let (mut allowed, mut forbidden) = (0, 0);
+    for _ in 0..100_000 {
+        let mut plan = unranged();
+        plan.limits.velocity = random.bool().then(|| random.f64() * 200.0);
+        plan.limits.position = match random.u8(..5) {
+            0 => None,
+            1 => Some((0.0, f64::MAX)),
+            2 => Some((f64::MIN, 100.0)),
+            _ => Some((0.0, 100.0)),
+        };
+        let mut watch = Watch::new(&plan, MS, 0, 1);
+        watch.velocity = value(random);
+        let (homed, led) = (random.bool(), random.bool());
+        watch.last = Sample { shown: value(random), homed, led, ..SAMPLE };
+        let watched = Watched { homing: random.u8(..8) == 0, braking: random.bool() };
+        let quick = watch.is_allowed(watched);
+        assert!(!quick || !watch.is_forbidden(watched), "{watched:?} {watch:?}");
+        (allowed, forbidden) =
+            (allowed + u32::from(quick), forbidden + u32::from(watch.is_forbidden(watched)));
+    }
+    assert!(allowed > 10_000 && forbidden > 10_000, "{allowed} {forbidden}");
+}

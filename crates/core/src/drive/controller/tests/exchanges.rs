@@ -181,9 +181,17 @@ fn the_way_of_a_usual_cycle_leads_to_the_same_as_that_of_all_others() {
         let mut random = fastrand::Rng::with_seed(seed);
         let mut limited = plan();
         limited.limits.velocity = Some(500.0);
-        let mut both = [0, 1].map(|_| match seed % 3 {
+        let mut rotary = limited.clone();
+        rotary.units.modulo = Some(360.0);
+        let mut both = [0, 1].map(|_| match seed % 5 {
             0 => Alone::new(plan()).online(),
             1 => Alone::new(limited.clone()).enabled(),
+            2 => Alone::new(rotary.clone()).enabled(),
+            3 => {
+                let mut x = Alone::new(limited.clone()).enabled();
+                x.controller.duty.set_ordered(Some(Command::Torque { slope: 1.0 }));
+                x
+            }
             _ => {
                 let mut x = Alone::of(limited.clone(), Capabilities { power_reports: 2, ..can() }).enabled();
                 x.post(Command::Follow);
@@ -201,11 +209,13 @@ fn the_way_of_a_usual_cycle_leads_to_the_same_as_that_of_all_others() {
             let at = now + random.u64(..200) * US;
             let exchange = match random.u8(..30) {
                 0 => Exchange::Absent { sent_at: now },
+                29 => Exchange::Queued,
                 1 => Exchange::Answered { sent_at: now, at, suspect: true },
                 2..6 => Exchange::OwnClock { sent_at: now, fresh_until: now + random.u64(..2) },
                 _ => Exchange::Answered { sent_at: now + random.u64(..2) * US, at, suspect: false },
             };
-            let fresh = !matches!(exchange, Exchange::Absent { .. }) && random.u8(..20) > 0;
+            let fresh =
+                !matches!(exchange, Exchange::Absent { .. } | Exchange::Queued) && random.u8(..20) > 0;
             position += random.f64() * if random.u8(..40) == 0 { 50.0 } else { 0.3 };
             let rare = random.u8(..60);
             let change = |slot: &mut Slot| {
@@ -228,6 +238,11 @@ fn the_way_of_a_usual_cycle_leads_to_the_same_as_that_of_all_others() {
                     12 => slot.status.state = State::SwitchedOn,
                     13 => slot.status.state = State::OperationEnabled,
                     14 => slot.status.fault = 7,
+                    15 => {
+                        slot.earlier.owe(Time(now.0 - MS), now + MS);
+                        slot.has_earlier = true;
+                        assert!(slot.earlier.answer(Time(now.0 - MS), at));
+                    }
                     _ => {}
                 }
             };
