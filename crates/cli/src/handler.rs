@@ -15,7 +15,7 @@ use fieldbeat_core::rt::thread::helper_thread;
 use fieldbeat_master::Master;
 use fieldbeat_record::Summary;
 use fieldbeat_record::blackbox::Written;
-use fieldbeat_telemetry::{DriveEmergency, Failure, Monitor};
+use fieldbeat_telemetry::{DriveEmergency, Failure, Measured, Monitor};
 use serde_json::{Value, json};
 
 use super::complain;
@@ -154,7 +154,8 @@ impl Handler {
     /// Says what failed of the program itself.
     fn look_at_failures(&mut self, master: &Master) {
         let shown = self.failures;
-        let new: Vec<Failure> = master.measured(|measured| measured.failures[shown..].to_vec());
+        let new = |measured: &Measured| -> Vec<Failure> { measured.failures[shown..].to_vec() };
+        let new = measured(master, new);
         self.failures += new.len();
         new.iter().for_each(|failure| self.live.say(&failure.what));
     }
@@ -167,6 +168,8 @@ impl Handler {
             self.look(master, "stop");
             std::thread::sleep(LOOK_EVERY);
         }
+        // What no look has found the telemetry at rest for.
+        self.look(master, "stop");
         self.live.end();
     }
 
@@ -239,10 +242,10 @@ impl Handler {
     /// Says what drives reported by themselves.
     fn look_at_emergencies(&mut self, master: &Master) {
         let before = self.emergencies;
-        let new: Vec<DriveEmergency> = master.measured(|measured| {
+        let new = |measured: &Measured| -> Vec<DriveEmergency> {
             measured.emergencies.iter().filter(|one| one.number > before).copied().collect()
-        });
-        for newest in new {
+        };
+        for newest in measured(master, new) {
             let missed = newest.number - self.emergencies - 1;
             self.emergencies = newest.number;
             if missed > 0 {
@@ -260,13 +263,22 @@ impl Handler {
 
     fn look_at_black_boxes(&mut self, master: &Master) {
         let shown = self.black_boxes;
-        let new: Vec<Written> = master.measured(|measured| {
+        let new = |measured: &Measured| -> Vec<Written> {
             measured.black_boxes.iter().filter(|written| written.number > shown).cloned().collect()
-        });
-        for written in new {
+        };
+        for written in measured(master, new) {
             self.black_boxes = written.number;
             self.live.say(&written.to_string());
         }
+    }
+}
+
+/// Looks at what the telemetry measured. While the master runs, this thread gives it signs of life, and waits for nobody:
+/// what is not seen now is seen with a later look.
+fn measured<R: Default>(master: &Master, look: impl FnOnce(&Measured) -> R) -> R {
+    match master.is_running() {
+        true => master.try_measured(look).unwrap_or_default(),
+        false => master.measured(look),
     }
 }
 

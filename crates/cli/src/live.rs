@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use fieldbeat_core::time::US;
 use fieldbeat_master::Master;
-use fieldbeat_telemetry::{Quantiles, ReferenceStatus};
+use fieldbeat_telemetry::{Measured, Quantiles, ReferenceStatus};
 
 /// Which drives the line counts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -24,6 +24,8 @@ pub struct Live {
     last: Option<Instant>,
     /// The line on the terminal has to be ended before anything else is written.
     open: bool,
+    /// The wake-ups of the loop, as they were read last.
+    wake: Quantiles,
 }
 
 impl Live {
@@ -31,7 +33,7 @@ impl Live {
     pub fn new() -> Live {
         let terminal = std::io::stderr().is_terminal();
         let every = if terminal { Duration::from_millis(250) } else { Duration::from_secs(10) };
-        Live { terminal, every, last: None, open: false }
+        Live { terminal, every, last: None, open: false, wake: Quantiles::default() }
     }
 
     /// Writes the line if it is time. `what` is going on, `count` of the drives have come so far.
@@ -44,7 +46,9 @@ impl Live {
             return;
         }
         let status = master.status();
-        let wake = master.measured(|measured| Quantiles::of(&measured.histograms.wake, status.wake_max));
+        let wake = |measured: &Measured| Quantiles::of(&measured.histograms.wake, status.wake_max);
+        self.wake = master.try_measured(wake).unwrap_or(self.wake);
+        let wake = self.wake;
         let drives = master.observers().len();
         // Fits into 80 columns for a day at 1 kHz.
         let us = |ns: Option<u64>| ns.map_or(String::from("-"), |ns| format!("{:.1}", ns as f64 / US as f64));

@@ -204,9 +204,11 @@ impl Test {
             self.writer.look().iter().for_each(|line| complain(line));
             let trouble = self.troubles(&axes);
             let is_due = now >= next_ns || axes.given_up() > given_up || (fail_fast && trouble > troubles);
-            if ends_ns.is_none() && is_due {
+            if ends_ns.is_none()
+                && is_due
+                && let Some(judged) = self.checkpoint(&axes)
+            {
                 (next_ns, troubles, given_up) = (now + self.every_ns, trouble, axes.given_up());
-                let judged = self.checkpoint(&axes);
                 if let Some(failed) = judged.iter().find(|one| !one.passed).filter(|_| fail_fast) {
                     complain(&format!("ends at once: {}", failed.line()));
                     axes.end();
@@ -228,17 +230,19 @@ impl Test {
             + self.master.observers().iter().map(|(_, observer)| of(observer.feedback())).sum::<u64>()
     }
 
-    /// Has a checkpoint written; what it comes to so far.
-    fn checkpoint(&mut self, axes: &Soak) -> Vec<Judged> {
+    /// Has a checkpoint written; what it comes to so far. `None`: the telemetry is at work, to be tried again.
+    fn checkpoint(&mut self, axes: &Soak) -> Option<Vec<Judged>> {
+        let (master, numbers) = (&self.master, self.master.numbers());
+        let run = master.try_measured(|measured| {
+            let summary = Summary::of(master.plan(), &numbers, measured, master.granted(), master.steal_ms());
+            Archive::of(master.plan(), &numbers, measured, &summary)
+        })?;
         self.progress.sample(self.now());
         self.progress.files_lost += self.writer.take_lost();
-        let (summary, numbers) = (Summary::from(&*self.master), self.master.numbers());
-        let run =
-            self.master.measured(|measured| Archive::of(self.master.plan(), &numbers, measured, &summary));
         let progress = self.progress.with(&run, axes);
         let judged = judge(&self.soak, &progress, false);
         self.writer.checkpoint(progress).iter().for_each(|line| complain(line));
-        judged
+        Some(judged)
     }
 
     /// Ends the master in order, and judges.

@@ -93,9 +93,16 @@ impl Monitor {
         self.0.gauges.axes.get(index).is_some_and(|axis| axis.info.connection.is_some())
     }
 
-    /// Looks at what the telemetry measured so far. The telemetry waits meanwhile, the loop does not.
+    /// Looks at what the telemetry measured so far. The telemetry waits meanwhile, the loop does not. It waits for the
+    /// telemetry, which may not be scheduled for seconds on a busy host: a thread that gives signs of life takes
+    /// [`try_measured`](Self::try_measured).
     pub fn measured<R>(&self, look: impl FnOnce(&Measured) -> R) -> R {
         look(&self.0.gathered.read())
+    }
+
+    /// The same without a wait; `None`: the telemetry is at work on it, look again later.
+    pub fn try_measured<R>(&self, look: impl FnOnce(&Measured) -> R) -> Option<R> {
+        self.0.gathered.try_read().map(|measured| look(&measured))
     }
 
     /// One more reader of the loop's records, from now on, with room for so many batches.

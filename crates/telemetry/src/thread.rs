@@ -6,7 +6,7 @@ use std::fmt;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, TryLockError};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
@@ -281,6 +281,15 @@ impl Gathered {
         self.measured.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
+    /// The same without a wait; `None`: the telemetry is at work on it.
+    pub fn try_read(&self) -> Option<MutexGuard<'_, Measured>> {
+        match self.measured.try_lock() {
+            Ok(measured) => Some(measured),
+            Err(TryLockError::Poisoned(poisoned)) => Some(poisoned.into_inner()),
+            Err(TryLockError::WouldBlock) => None,
+        }
+    }
+
     /// Further readers of the records.
     pub fn taps(&self) -> &Taps {
         &self.taps
@@ -478,6 +487,8 @@ impl Drop for TelemetryThread {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::mpsc;
+
     use super::*;
     use fieldbeat_core::cycle::record::DriveRecord;
 
@@ -532,6 +543,44 @@ mod tests {
         both.sort();
         assert!(both[0].1.starts_with("internal error: the telemetry panicked; "), "{both:?}");
         assert_eq!((both[0].0, both[1]), (true, (true, "the loop panicked")));
+    }
+
+    /// A black box that holds up its thread at each record until it may go on.
+    #[derive(Debug)]
+    struct Held {
+        at_work: mpsc::Sender<()>,
+        goes_on: mpsc::Receiver<()>,
+    }
+
+    impl Keep for Held {
+        fn enter(&mut self, _record: &Record) {
+            self.at_work.send(()).unwrap();
+            self.goes_on.recv().unwrap();
+        }
+
+        fn request(&mut self) {}
+
+        fn conclude(&mut self, _why: &str) {}
+
+        fn write(&mut self, _last: bool) -> Vec<Written> {
+            Vec::new()
+        }
+    }
+
+    #[test]
+    fn who_gives_signs_of_life_does_not_wait_for_a_telemetry_that_is_at_work() {
+        let (mut records, ring) = rtrb::RingBuffer::new(4);
+        let measured = Measured::new(&[Units::millimetres(1.0); 1], &CyclePlan::default(), false);
+        let ((at_work, held), (go_on, goes_on)) = (mpsc::channel(), mpsc::channel());
+        let keep = Box::new(Held { at_work, goes_on });
+        let mut telemetry =
+            TelemetryThread::start(ring, measured, Taps::default(), None, Some(keep), || {}).unwrap();
+        records.push(Record::Drive(DriveRecord::default())).unwrap();
+        held.recv().unwrap();
+        assert!(telemetry.gathered().try_read().is_none());
+        go_on.send(()).unwrap();
+        assert!(telemetry.finish(&Status::default(), None).failures.is_empty());
+        assert!(telemetry.gathered().try_read().is_some());
     }
 
     #[test]
