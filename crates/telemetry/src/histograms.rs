@@ -1,5 +1,7 @@
 //! What a run measured, as histograms, and the quantiles that a sample supports.
 
+use std::num::NonZeroU32;
+
 use hdrhistogram::Histogram;
 
 use fieldbeat_core::cycle::record::{
@@ -34,6 +36,14 @@ impl Quantity {
 
     fn enter(&mut self, ns: u64) {
         self.0.saturating_record(ns.max(1));
+    }
+
+    /// A time of a record, at least 1 ns, if it has one.
+    #[inline]
+    fn enter_measured(&mut self, ns: Option<NonZeroU32>) {
+        if let Some(ns) = ns {
+            self.0.saturating_record(ns.get().into());
+        }
     }
 
     /// The number of values.
@@ -145,13 +155,9 @@ impl Histograms {
                 let Some(drive) = self.drives.get_mut(usize::from(*axis)) else { return };
                 let is_unanswered = matches!(reply, Reply::Missed | Reply::Unsent);
                 drive.unanswered += u64::from(is_unanswered && *was_online);
-                let measured =
-                    [(&mut drive.rtt, rtt_ns), (&mut drive.send_jitter, jitter_ns), (&mut drive.age, age_ns)];
-                for (histogram, ns) in measured {
-                    if let Some(ns) = ns {
-                        histogram.enter(ns.get().into());
-                    }
-                }
+                drive.rtt.enter_measured(*rtt_ns);
+                drive.send_jitter.enter_measured(*jitter_ns);
+                drive.age.enter_measured(*age_ns);
             }
             Record::Monitor(_) | Record::Command(_) | Record::Event(_) | Record::Native(_) => {}
             Record::Reference(ReferenceRecord { error_ns, counts, .. }) => {

@@ -29,10 +29,14 @@ impl From<Band> for (f32, f32) {
 }
 
 impl Band {
-    /// A value alone; `None` where a drive reports none.
-    fn of(value: f64) -> Option<Band> {
+    /// Takes one more value into `band`; a drive that reports none has none.
+    #[inline]
+    fn see(band: &mut Option<Band>, value: f64) {
         let value = value as f32;
-        value.is_finite().then_some(Band { low: value, high: value })
+        // Mostly it lies between the others.
+        if !band.is_some_and(|Band { low, high }| low <= value && value <= high) && value.is_finite() {
+            band.merge(Some(Band { low: value, high: value }));
+        }
     }
 }
 
@@ -280,12 +284,15 @@ impl Motion {
         if counts && motion.error_max.is_none_or(|largest| error.abs() > largest.value) {
             motion.error_max = Some(Largest { value: error.abs(), cycle: record.index });
         }
-        motion.course.at(record.index).merge(Moved {
-            position: Band::of(record.position),
-            demand: Band::of(record.demand).filter(|_| enabled),
-            error: Band::of(error).filter(|_| counts),
-            velocity: Band::of(record.velocity.into()),
-        });
+        let moved = motion.course.at(record.index);
+        Band::see(&mut moved.position, record.position);
+        Band::see(&mut moved.velocity, record.velocity.into());
+        if enabled {
+            Band::see(&mut moved.demand, record.demand);
+        }
+        if counts {
+            Band::see(&mut moved.error, error);
+        }
     }
 }
 

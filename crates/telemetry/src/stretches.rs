@@ -39,15 +39,30 @@ impl<T: Merge> Stretches<T> {
     }
 
     /// The stretch of cycle `index`.
+    #[inline]
     pub fn at(&mut self, index: u64) -> &mut T {
-        while index / self.width >= MOST as u64 {
+        let place = self.place(index);
+        let place = if place < self.list.len() as u64 { place } else { self.reach(index) };
+        &mut self.list[place as usize]
+    }
+
+    /// The place of the stretch of cycle `index`.
+    #[inline]
+    fn place(&self, index: u64) -> u64 {
+        // Without a division unless a file says otherwise.
+        let width = self.width.get();
+        if width.is_power_of_two() { index >> width.trailing_zeros() } else { index / width }
+    }
+
+    /// The same, once there is one.
+    #[inline(never)]
+    fn reach(&mut self, index: u64) -> u64 {
+        while self.place(index) >= MOST as u64 {
             self.halve();
         }
-        let place = (index / self.width) as usize;
-        if place >= self.list.len() {
-            self.list.resize(place + 1, T::default());
-        }
-        &mut self.list[place]
+        let place = self.place(index);
+        self.list.resize(self.list.len().max(place as usize + 1), T::default());
+        place
     }
 
     /// Each two become one.

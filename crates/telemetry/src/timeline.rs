@@ -53,7 +53,9 @@ impl Timeline {
                 let missed = u64::from(*reply == Reply::Missed);
                 let rtt_ns = rtt_ns.map_or(0, |ns| u64::from(ns.get()));
                 if missed > 0 || rtt_ns > 0 {
-                    self.at(*index).merge(Stretch { rtt_ns, missed, ..Stretch::default() });
+                    let stretch = self.at(*index);
+                    stretch.rtt_ns = stretch.rtt_ns.max(rtt_ns);
+                    stretch.missed += missed;
                 }
             }
             Record::Monitor(_)
