@@ -273,8 +273,8 @@ impl Handler {
     }
 }
 
-/// Looks at what the telemetry measured. While the master runs, this thread gives it signs of life, and waits for nobody:
-/// what is not seen now is seen with a later look.
+/// Looks at what the telemetry measured. While the master runs, this thread gives it signs of life, and waits for no
+/// other: what is not seen now is seen with a later look.
 fn measured<R: Default>(master: &Master, look: impl FnOnce(&Measured) -> R) -> R {
     match master.is_running() {
         true => master.try_measured(look).unwrap_or_default(),

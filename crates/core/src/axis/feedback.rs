@@ -355,9 +355,9 @@ impl Feedback {
         self.link == Link::Online && self.status.state == State::OperationEnabled
     }
 
-    /// Publishes it. Of its monitored variables `shown` has a bit for each that has a value; the values are written only
-    /// if they are new, and stand there otherwise. Hardly ever has another axis begun its stop. To leave both out saves
-    /// 42 instructions a drive and cycle.
+    /// Publishes it. Of its monitored variables `shown` has a bit for each that has a value; the values are written
+    /// only if they are new, and stand there otherwise. Hardly ever has another axis begun its stop. To leave both out
+    /// saves 42 instructions a drive and cycle.
     #[inline]
     #[doc(hidden)]
     pub fn write_to(&self, cell: &mut Writer<Feedback>, shows: bool, shown: u8) {

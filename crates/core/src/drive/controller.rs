@@ -71,8 +71,8 @@ pub struct Queues {
 /// What the loop keeps of one axis.
 ///
 /// What each cycle touches lies on as few cache lines as possible: one that all stages look at, with the head of the
-/// duty; one of the link and of the largest times, with the head of the health; the end of the watch and the feedback up
-/// to its status; the beginning of the machine. The rest lies between and behind them.
+/// duty; one of the link and of the largest times, with the head of the health; the end of the watch and the feedback
+/// up to its status; the beginning of the machine. The rest lies between and behind them.
 #[derive(Debug)]
 #[repr(C, align(64))]
 pub struct DriveController {

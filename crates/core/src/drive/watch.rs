@@ -224,8 +224,8 @@ struct Bounds {
     following: f64,
     /// The age of an actual position against the demand of its report, s.
     behind_s: f64,
-    /// A demand that is no faster, and lies between these, breaks no limit. `low` is above `high`: there are no limits of
-    /// positions.
+    /// A demand that is no faster, and lies between these, breaks no limit. `low` is above `high`: there are no limits
+    /// of positions.
     velocity: f64,
     low: f64,
     high: f64,
