@@ -12,6 +12,7 @@ use fieldbeat_config as config;
 use fieldbeat_core::bus::{Cycle, OpenError};
 use fieldbeat_core::cycle::task::Axes;
 use fieldbeat_core::cycle::{Plan, PlanErrors, REVISION};
+use fieldbeat_core::inputs::replaying::{Entries, Source};
 use fieldbeat_record::log::layout::{BEGIN, Begin, CUT_AT, END, LAYOUT, TOPIC, words};
 use fieldbeat_record::log::records::Records;
 use fieldbeat_telemetry::log::MachineOf;
@@ -168,9 +169,9 @@ impl Recorded {
         }
     }
 
-    fn of_another_revision(self) -> ReplayError {
-        let Begin { version, revision, layout, .. } = self.begin;
-        ReplayError::Revision { path: self.path, version, revision, layout }
+    fn of_another_revision(&self) -> ReplayError {
+        let Begin { version, revision, layout, .. } = self.begin.clone();
+        ReplayError::Revision { path: self.path.clone(), version, revision, layout }
     }
 
     /// The plan of the machine, in place of its configuration: for a machine that was built in code.
@@ -185,55 +186,56 @@ impl Recorded {
         self
     }
 
-    /// The machine that repeats it.
-    pub fn replay(self) -> Result<Replay, ReplayError> {
+    /// The plan of the machine, once.
+    fn plan(&mut self) -> Result<Plan, ReplayError> {
         if self.begin.layout != LAYOUT {
             return Err(self.of_another_revision());
         }
-        let Recorded { path, mut log, begin, plan, task, end } = self;
-        let plan = match (plan, begin.machine) {
+        let path = || self.path.clone();
+        let plan = match (self.plan.take(), &self.begin.machine) {
             (Some(plan), _) => plan,
-            (None, MachineOf::Code) => return Err(ReplayError::Code { path }),
+            (None, MachineOf::Code) => return Err(ReplayError::Code { path: path() }),
             (None, machine) => {
-                let read = match &machine {
+                let read = match machine {
                     MachineOf::Demo { drives, period_ns, place } => {
                         config::demo::demo_plan(*drives, *period_ns, *place)
                     }
                     MachineOf::Configuration { file, text } => config::parse(text, file),
-                    MachineOf::Code => return Err(ReplayError::Code { path }),
+                    MachineOf::Code => return Err(ReplayError::Code { path: path() }),
                 };
                 let first = |text: String| text.lines().next().unwrap_or_default().to_owned();
                 match read {
                     Ok(read) => read.plan,
                     Err(why) => {
-                        return Err(ReplayError::Configuration { path, why: first(why.to_string()) });
+                        return Err(ReplayError::Configuration { path: path(), why: first(why.to_string()) });
                     }
                 }
             }
         };
         plan.check()?;
+        Ok(plan)
+    }
+
+    /// The machine that repeats it.
+    pub fn replay(mut self) -> Result<Replay, ReplayError> {
+        let plan = self.plan()?;
+        let Recorded { log, begin, task, end, .. } = self;
         let other_plan = begin.plan.and_then(|recorded| other(&recorded, &plan.resolved()));
         let task = match (task, begin.has_task) {
             (Some(task), _) => TaskOf::Code(task),
             (None, true) => TaskOf::Log,
             (None, false) => TaskOf::Nobody,
         };
-        let of_source = end.clone();
-        let source = Box::new(move || {
-            loop {
-                match log.next() {
-                    Ok(Some(Piece::Words(words))) => return Some(words),
-                    Ok(Some(Piece::End(end))) => of_source.set(end),
-                    Ok(Some(Piece::Begin(_) | Piece::Others)) => {}
-                    Ok(None) => return None,
-                    Err(why) => {
-                        of_source.set(LogEnd::Broken(why));
-                        return None;
-                    }
-                }
-            }
-        });
-        Ok(Replay::over(plan, source, task)?.of_file(end, other_plan))
+        Ok(Replay::over(plan, log.source(end.clone()), task)?.of_file(end, other_plan))
+    }
+
+    /// The plan of the machine and what was logged, without a repetition; and how the log ends, once all of it was
+    /// read.
+    #[doc(hidden)]
+    pub fn entries(mut self) -> Result<(Plan, Entries, impl Fn() -> LogEnd), ReplayError> {
+        let plan = self.plan()?;
+        let Recorded { log, end, .. } = self;
+        Ok((plan, Entries::new(log.source(end.clone())), move || end.get()))
     }
 }
 
@@ -294,6 +296,24 @@ impl Log {
     fn new(file: File) -> Log {
         let records = Records::new(BufReader::new(file));
         Log { records, has_begun: false, channel: None, sequence: 0 }
+    }
+
+    /// Its words. How it ends is in `end` afterwards.
+    fn source(mut self, end: SharedEnd) -> Source {
+        Box::new(move || {
+            loop {
+                match self.next() {
+                    Ok(Some(Piece::Words(words))) => return Some(words),
+                    Ok(Some(Piece::End(found))) => end.set(found),
+                    Ok(Some(Piece::Begin(_) | Piece::Others)) => {}
+                    Ok(None) => return None,
+                    Err(why) => {
+                        end.set(LogEnd::Broken(why));
+                        return None;
+                    }
+                }
+            }
+        })
     }
 
     /// The next piece; `None` at the end of the file. After an error there is nothing more.

@@ -20,16 +20,12 @@ pub type Source = Box<dyn FnMut() -> Option<Vec<u64>> + Send>;
 pub struct Replaying(Mutex<Player>);
 
 struct Player {
-    source: Source,
-    words: Vec<u64>,
-    /// The place of the next word in them.
-    at: usize,
+    entries: Entries,
     /// What is left of the cycle, each with the looks before it that found nothing.
     left: VecDeque<(u64, Entry)>,
     /// The begin of the next cycle.
     next: Option<(u64, Entry)>,
-    /// The time of the last entry that was read, and the one that the loop had last.
-    read: Time,
+    /// The time that the loop had last.
     now: Time,
     cycle: u64,
     /// The loop has made another look in this cycle than the recorded one.
@@ -57,6 +53,20 @@ pub struct Entry {
     words: Vec<u64>,
     bytes: usize,
 }
+
+/// The entries of a log, each with so many looks before it that found what is usual.
+pub struct Entries {
+    source: Source,
+    words: Vec<u64>,
+    /// The place of the next word in them.
+    at: usize,
+    /// The time of the last entry.
+    read: Time,
+}
+
+/// A word of the log is no entry, or its entry is not whole.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Broken;
 
 /// A difference of a repeated run to the recorded one.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -136,16 +146,59 @@ impl Entry {
     }
 }
 
+impl std::fmt::Debug for Entries {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Entries").field("read", &self.read).finish_non_exhaustive()
+    }
+}
+
+impl Entries {
+    /// Those of the log that `source` gives.
+    pub fn new(source: Source) -> Entries {
+        Entries { source, words: Vec::new(), at: 0, read: Time(0) }
+    }
+
+    /// The next word of the log.
+    fn word(&mut self) -> Option<u64> {
+        while self.at >= self.words.len() {
+            self.words = (self.source)()?;
+            self.at = 0;
+        }
+        self.at += 1;
+        Some(self.words[self.at - 1])
+    }
+}
+
+impl Iterator for Entries {
+    type Item = Result<(u64, Entry), Broken>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        let mut looks = 0;
+        loop {
+            let word = self.word()?;
+            let Some(head) = Head::of(word) else { return Some(Err(Broken)) };
+            let words: Vec<u64> = (0..head.words()).map_while(|_| self.word()).collect();
+            if words.len() < head.words() {
+                return Some(Err(Broken));
+            }
+            looks += head.looks;
+            self.read = Time(self.read.0.wrapping_add_signed(head.after_ns.into()));
+            match head.kind {
+                Kind::Gap => {}
+                Kind::Base => self.read = Time(words.first().copied().unwrap_or(0)),
+                kind => return Some(Ok((looks, Entry { kind, at: self.read, words, bytes: head.bytes }))),
+            }
+        }
+    }
+}
+
 impl Replaying {
     /// The log that `source` gives.
     pub fn new(source: Source) -> Replaying {
         let mut player = Player {
-            source,
-            words: Vec::new(),
-            at: 0,
+            entries: Entries::new(source),
             left: VecDeque::new(),
             next: None,
-            read: Time(0),
             now: Time(0),
             cycle: 0,
             astray: false,
@@ -343,41 +396,18 @@ impl Player {
         self.left.remove(at).map(|(_, entry)| entry)
     }
 
-    /// The next word of the log.
-    fn word(&mut self) -> Option<u64> {
-        while self.at >= self.words.len() {
-            self.words = (self.source)()?;
-            self.at = 0;
-        }
-        self.at += 1;
-        Some(self.words[self.at - 1])
-    }
-
     /// Reads the entries up to the begin of the next cycle.
     fn load(&mut self) {
         self.next = None;
         self.left.clear();
-        let mut before = 0;
-        while let Some(word) = self.word() {
-            let Some(head) = Head::of(word) else { return self.differs(What::Broken) };
-            let words: Vec<u64> = (0..head.words()).map_while(|_| self.word()).collect();
-            if words.len() < head.words() {
-                return self.differs(What::Broken);
-            }
-            before += head.looks;
-            self.read = Time(self.read.0.wrapping_add_signed(head.after_ns.into()));
-            match head.kind {
-                Kind::Gap => {}
-                Kind::Base => self.read = Time(words.first().copied().unwrap_or(0)),
-                kind => {
-                    let looks = std::mem::take(&mut before);
-                    let entry = (looks, Entry { kind, at: self.read, words, bytes: head.bytes });
-                    if kind == Kind::Cycle {
-                        self.next = Some(entry);
-                        return;
-                    }
-                    self.left.push_back(entry);
+        for entry in &mut self.entries {
+            match entry {
+                Ok(next) if next.1.kind == Kind::Cycle => {
+                    self.next = Some(next);
+                    return;
                 }
+                Ok(entry) => self.left.push_back(entry),
+                Err(Broken) => return self.differs(What::Broken),
             }
         }
     }
