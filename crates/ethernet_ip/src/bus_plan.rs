@@ -49,6 +49,7 @@ impl BusPlan for EthernetIpPlan {
         let (way, bytes) = (Way::Address(*self.bind.ip()), [OUTGOING_MAX, around + input_size(Version::V1)]);
         BusFacts {
             load: is_cyclic.then_some(Load::new(Medium::Datagrams, way, bytes)),
+            local: Some(self.bind),
             own_counters: &OWN,
             // Of several alarms the one that took the motor's current, as that of the lowest bit.
             fault_names: |word| {

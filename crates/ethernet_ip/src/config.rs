@@ -2,6 +2,7 @@
 
 mod outline;
 mod scan;
+mod telegrams;
 mod tools;
 
 pub use self::tools::TOOLS;
@@ -32,6 +33,7 @@ pub const REGISTERED: Protocol = Protocol {
     reference: include_str!("../files/configuration-ethernet-ip.md"),
     specimen: SPECIMEN,
     outline: outline::OUTLINE,
+    telegrams: telegrams::TELEGRAMS,
 };
 
 /// With each table that may be missing.

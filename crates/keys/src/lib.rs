@@ -12,6 +12,7 @@
 //! | `machine` | what must be unique in a machine |
 //! | `bus` | the drives of a bus over its defaults, and their addresses |
 //! | `drive` | the keys that every `[[bus.drive]]` has |
+//! | `telegram` | telegrams of a protocol in a capture, and in words |
 //! | `outline` | what a first configuration of a protocol has, and what is asked for it |
 
 pub mod bus;
@@ -23,6 +24,7 @@ pub mod machine;
 pub mod outline;
 pub mod page;
 pub mod table;
+pub mod telegram;
 pub mod value;
 
 use fieldbeat_core::bus::BusPlan;
@@ -46,4 +48,6 @@ pub struct Protocol {
     pub specimen: &'static str,
     /// What a first configuration of it has.
     pub outline: outline::Outline,
+    /// What passes its wire, for captures.
+    pub telegrams: &'static [telegram::Telegrams],
 }

@@ -287,6 +287,7 @@ impl BusPlan for LinUdpPlan {
         };
         BusFacts {
             load: Some(Load::new(Medium::Datagrams, Way::Address(*self.bind.ip()), SHORTEST)),
+            local: Some(self.bind),
             own_counters: &OWN,
             fault_names: |code| u16::try_from(code).ok().and_then(|code| ErrorCode(code).name()),
             diagnosis: &DIAGNOSIS,

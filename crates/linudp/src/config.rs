@@ -4,6 +4,7 @@ pub mod curve;
 mod name;
 mod outline;
 pub mod table;
+mod telegrams;
 mod tools;
 
 pub use self::tools::TOOLS;
@@ -37,6 +38,7 @@ pub const REGISTERED: Protocol = Protocol {
     reference: include_str!("../files/configuration-linudp.md"),
     specimen: SPECIMEN,
     outline: outline::OUTLINE,
+    telegrams: telegrams::TELEGRAMS,
 };
 
 /// With each table that may be missing.

@@ -1,6 +1,6 @@
 //! All drives of one Modbus TCP bus, one connection each: stations and their carrier, as a [`Bus`].
 
-use std::net::Ipv4Addr;
+use std::net::{Ipv4Addr, SocketAddrV4};
 use std::os::fd::RawFd;
 use std::sync::Arc;
 
@@ -267,6 +267,7 @@ impl BusPlan for ModbusPlan {
         BusFacts {
             // The shortest of FC23 (Modbus Application Protocol V1.1b3, 6.17): a register each way.
             load: Some(Load::new(Medium::Streams, way, [7 + 12, 7 + 4])),
+            local: self.bind.map(|bind| SocketAddrV4::new(bind, 0)),
             own_counters: &OWN,
             fault_names: |code| u16::try_from(code).ok().and_then(|code| Trip(code).name()),
             silence_faults: |code| u16::try_from(code).is_ok_and(|code| Trip(code).is_of_silence()),

@@ -1,6 +1,7 @@
 //! `protocol = "modbus-tcp"`.
 
 mod outline;
+mod telegrams;
 
 /// It adds no command to the program.
 pub const TOOLS: &[fieldbeat_tools::Tool] = &[];
@@ -30,6 +31,7 @@ pub const REGISTERED: Protocol = Protocol {
     reference: include_str!("../files/configuration-modbus.md"),
     specimen: SPECIMEN,
     outline: outline::OUTLINE,
+    telegrams: telegrams::TELEGRAMS,
 };
 
 /// With each table that may be missing.

@@ -2,6 +2,7 @@
 
 mod outline;
 pub mod scan;
+mod telegrams;
 mod tools;
 
 pub use self::tools::TOOLS;
@@ -39,6 +40,7 @@ pub const REGISTERED: Protocol = Protocol {
     reference: include_str!("../files/configuration-profibus.md"),
     specimen: SPECIMEN,
     outline: outline::OUTLINE,
+    telegrams: telegrams::TELEGRAMS,
 };
 
 /// The units of a shown word.

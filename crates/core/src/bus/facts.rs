@@ -28,6 +28,10 @@ pub struct BusFacts {
     /// What its exchanges put on its wire. `None`: nothing that costs a processor time.
     #[doc(hidden)]
     pub load: Option<Load>,
+    /// The address that it sends from, with port 0 where that is the choice of the kernel; `None`: it has none, or it
+    /// is whichever leads to a drive.
+    #[doc(hidden)]
+    pub local: Option<SocketAddrV4>,
     /// What `Counters::own` counts, in order.
     #[doc(hidden)]
     pub own_counters: &'static [OwnCounter],
@@ -66,6 +70,7 @@ impl BusFacts {
             has_clock: false,
             is_one_frame: false,
             load: None,
+            local: None,
             own_counters: &[],
             wire_us: None,
             diagnosis: &[],

@@ -2,6 +2,7 @@
 
 mod device;
 mod outline;
+mod telegrams;
 mod tools;
 mod values;
 
@@ -35,6 +36,7 @@ pub const REGISTERED: Protocol = Protocol {
     reference: include_str!("../../files/configuration-ethercat.md"),
     specimen: SPECIMEN,
     outline: outline::OUTLINE,
+    telegrams: telegrams::TELEGRAMS,
 };
 
 /// The last place of a slave.
