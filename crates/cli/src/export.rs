@@ -5,18 +5,21 @@ use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 use clap::{ArgGroup, Args};
+use fieldbeat_capture::export::{Export as Exported, utc_ns};
 use fieldbeat_record::blackbox::file;
 use fieldbeat_record::file::save;
 use fieldbeat_record::recording::blackbox::convert;
 use fieldbeat_record::recording::csv::{PerTopic, Wide};
 use fieldbeat_record::recording::perfetto::Trace;
 use fieldbeat_record::recording::reading::{Entry, Reading, Wrong};
+use fieldbeat_replay::{LogEnd, Recorded, ReplayError};
 
-use super::{Stop, complain};
+use super::{Stop, VERSION, complain};
 
 /// Arguments of `export`.
 #[derive(Debug, Args)]
-#[command(group(ArgGroup::new("to").required(true).args(["csv", "perfetto", "mcap"])))]
+#[command(after_help = "Example: fieldbeat export run.mcap --pcapng")]
+#[command(group(ArgGroup::new("to").required(true).args(["csv", "perfetto", "pcapng", "mcap"])))]
 pub struct Export {
     /// A recording (`--record`), or a file that the black box wrote.
     file: PathBuf,
@@ -28,6 +31,10 @@ pub struct Export {
     /// FILE with the extension json; `-` prints it.
     #[arg(long, value_name = "OUT")]
     perfetto: Option<Option<PathBuf>>,
+    /// A capture for Wireshark of all that was sent and received, from a recording with the wire (`--record-wire`). By
+    /// default FILE with the extension pcapng; `-` prints it.
+    #[arg(long, value_name = "OUT")]
+    pcapng: Option<Option<PathBuf>>,
     /// A recording, from a file of the black box. By default FILE with the extension mcap.
     #[arg(long, value_name = "OUT")]
     mcap: Option<Option<PathBuf>>,
@@ -48,6 +55,15 @@ impl Export {
             }
             Err(error) => return Err(Stop::usage(error)),
         };
+        if let Some(out) = self.pcapng {
+            return match converted {
+                Some(_) => Err(Stop::usage(format!(
+                    "{name} is a file of the black box, which has no telegrams; record the run with --record FILE \
+                     --record-wire"
+                ))),
+                None => capture(&self.file, &place(out, "pcapng")),
+            };
+        }
         if let Some(out) = self.mcap {
             let out = place(out, "mcap");
             let bytes = converted.ok_or_else(|| {
@@ -96,7 +112,7 @@ fn wide(mut messages: impl Iterator<Item = Entry>) -> io::Result<()> {
 }
 
 /// A reader that has gone away (`| head`) is no error.
-fn printed(written: io::Result<()>) -> Result<(), Stop> {
+pub fn printed(written: io::Result<()>) -> Result<(), Stop> {
     match written {
         Err(error) if error.kind() != io::ErrorKind::BrokenPipe => {
             Err(Stop::failed(format!("cannot write to standard output: {error}; look at where it leads")))
@@ -135,6 +151,47 @@ fn trace(out: &Path, messages: impl Iterator<Item = Entry>) -> Result<(), Stop> 
             Err(refused(why))
         }
     }
+}
+
+/// The telegrams of a recording.
+fn capture(file: &Path, out: &Path) -> Result<(), Stop> {
+    let opened = Recorded::open(file).and_then(Recorded::entries);
+    let (plan, entries, end) = opened.map_err(|why| match why {
+        ReplayError::Code { path } => Stop::usage(format!(
+            "{path} is of a machine that was built in code: the addresses of its drives are not in it"
+        )),
+        why => Stop::usage(why),
+    })?;
+    let utc_ns = Reading::open(file).map(utc_ns).map_err(Stop::usage)?;
+    let program = format!("fieldbeat {VERSION}");
+    let is_broken = if out == Path::new("-") {
+        let export = Exported::new(BufWriter::new(io::stdout().lock()), &program, &plan, utc_ns);
+        match export.and_then(|export| export.all(entries)) {
+            Ok((_, is_broken)) => is_broken,
+            Err(why) => return printed(Err(why)),
+        }
+    } else {
+        let refused = |why: io::Error| refused(out, &why);
+        let made = BufWriter::new(File::create_new(out).map_err(refused)?);
+        let export = Exported::new(made, &program, &plan, utc_ns);
+        let (packets, is_broken) = export.and_then(|export| export.all(entries)).map_err(|why| {
+            // Half of it would be in the way of the next one.
+            let _ = std::fs::remove_file(out);
+            refused(why)
+        })?;
+        complain(&format!("{}: {packets} packets", out.display()));
+        is_broken
+    };
+    let why = match end() {
+        LogEnd::Whole if !is_broken => return Ok(()),
+        LogEnd::CutAt(cycle) => format!(
+            "its wire ends before cycle {cycle}, since its disk or this host was too slow: what is there was exported"
+        ),
+        LogEnd::Broken(why) => format!("it is damaged ({why}): what is before that was exported"),
+        _ if is_broken => "it is damaged (an entry of its log): what is before that was exported".to_owned(),
+        _ => Wrong::Cut.to_string(),
+    };
+    Err(Stop::failed(format!("{}: {why}", file.display())))
 }
 
 /// Writes a trace. Returns how many events it has.

@@ -7,6 +7,7 @@ mod axis;
 mod blackbox;
 mod check;
 mod config;
+mod decode;
 mod demo;
 mod doctor;
 mod export;
@@ -96,8 +97,10 @@ enum Command {
     Added(tools::Added),
     /// What led up to a failure, from the file that the master's black box wrote.
     Blackbox(blackbox::BlackBox),
-    /// A recording, or a file of the black box, as tables, as a trace of the cycles, or as a recording.
+    /// A recording, or a file of the black box, as tables, as a trace of the cycles, as a capture, or as a recording.
     Export(export::Export),
+    /// A capture of the wires in words, telegram by telegram, whoever made it.
+    Decode(decode::Decode),
     /// A recorded run through the same loop in virtual time, compared bit by bit.
     Replay(replay::Replay),
     /// How well this host suits real time, and how to fix it; changes nothing.
@@ -132,6 +135,7 @@ pub fn main() -> ExitCode {
         Command::Added(added) => added.run(),
         Command::Blackbox(blackbox) => blackbox.run(),
         Command::Export(export) => export.run(),
+        Command::Decode(decode) => decode.run(),
         Command::Replay(replay) => replay.run(),
         Command::Doctor(doctor) => doctor.run(),
         Command::Completions(completions) => completions.run(),
