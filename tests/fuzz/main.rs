@@ -79,6 +79,11 @@ fn recording() {
 }
 
 #[test]
+fn capture() {
+    fuzz("capture", targets::capture, 3_000, 2_000);
+}
+
+#[test]
 fn config() {
     fuzz("config", targets::config, 150, 4_000);
 }

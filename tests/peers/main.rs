@@ -6,6 +6,7 @@
 //! Each test owns 127.x.n.0/24, by the number n of its machine, which is unique in all of these files.
 
 mod capture;
+mod captures;
 mod dashboard;
 mod ethercat;
 mod ethernet_ip;

@@ -174,6 +174,7 @@ fn what_is_newest_and_a_black_box_are_written_on_request_and_exported_and_what_i
     let wide = run(["export", file, "--csv", "-"]).expect(0).out.clone();
     assert_eq!(wide.lines().count() as u64, count(&entries, "/cycle") + 1);
 
+    run(["export", file, "--pcapng"]).refused(&["which has no telegrams", "--record FILE --record-wire"]);
     let text = machine.write("notes.txt", "mine");
     let damaged = machine.write("damaged.blackbox", &std::fs::read(file).unwrap()[..5_000]);
     for (file, words) in

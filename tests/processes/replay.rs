@@ -2,11 +2,12 @@
 
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::process::Command;
 
 use fieldbeat_core::cycle::REVISION;
 use fieldbeat_record::recording::reading::Wrong;
 
-use super::support::{Ended, LONG, Machine, run, until};
+use super::support::{Ended, LONG, Machine, PROGRAM, run, until};
 use super::{master, online, recordings, serve};
 
 fn replay(file: &Path, rest: &[&str]) -> Ended {
@@ -231,6 +232,69 @@ fn what_cannot_be_recorded_is_refused_before_anything_is_sent_and_leaves_no_file
     master(&config, &with_wire(&second)).end().refused(&["is in use by another master", "end that one"]);
     assert!(!second.exists());
     running.end_by(libc::SIGINT).expect(0);
-    replay(&file, &[])
-        .refused(&["x.mcap has no wire to repeat; record the run with --record FILE --record-wire"]);
+    let parts = ["x.mcap has no wire to repeat; record the run with --record FILE --record-wire"];
+    replay(&file, &[]).refused(&parts);
+    run(["export", file.to_str().unwrap(), "--pcapng"]).refused(&parts);
+    assert!(!machine.path("x.pcapng").exists());
+}
+
+#[test]
+fn the_wire_of_a_recording_is_exported_as_a_capture_which_is_printed_in_words() {
+    let machine = Machine::new(146);
+    let path = recorded(&machine, libc::SIGINT);
+    let file = path.to_str().unwrap();
+    let export = |out: &[&str]| run([&["export", file, "--pcapng"], out].concat());
+    let decode = |file: &Path| run(["decode", file.to_str().unwrap()]);
+    let capture = machine.path("x.pcapng");
+    let said = export(&[]).expect(0).err.clone();
+    let count: usize = said.rsplit(' ').nth(1).unwrap().parse().unwrap();
+    assert!(said.contains("x.pcapng: ") && said.trim_end().ends_with(" packets") && count > 100, "{said}");
+    let printed = decode(&capture).expect(0).out.clone();
+    let lines: Vec<&str> = printed.lines().collect();
+    assert_eq!(lines.len(), count + 1);
+    assert_eq!(lines[count], format!("{count} telegrams: {count} linudp-v2"));
+    assert!(lines[0].contains(":49360 linudp-v2: request of blocks "), "{}", lines[0]);
+    let bytes = fs::read(&capture).unwrap();
+    let out = Command::new(PROGRAM).args(["export", file, "--pcapng", "-"]).output().unwrap();
+    assert!(out.status.success() && out.stdout == bytes && out.stderr.is_empty());
+
+    let port = ["--port", "linudp-v2=9"];
+    assert_eq!(run([&["decode", capture.to_str().unwrap()], &port[..]].concat()).expect(0).out, printed);
+    let wrong = run(["decode", capture.to_str().unwrap(), "--port", "linudp=9"]);
+    wrong.refused(&["write PROTOCOL=PORT, with one of linudp-v2, modbus-tcp, "]);
+
+    // What is there is never replaced.
+    export(&[]).refused(&["x.pcapng: File exists", "name another place, or remove it"]);
+    let nowhere = machine.path("missing/x.pcapng");
+    export(&[nowhere.to_str().unwrap()])
+        .refused(&["cannot write", "name a place that this user may write to"]);
+    // A recording that was cut, and a capture: up to their last sound parts.
+    let whole = fs::read(&path).unwrap();
+    let cut = machine.write("cut.mcap", &whole[..whole.len() * 2 / 3]);
+    let ended = run(["export", cut.to_str().unwrap(), "--pcapng"]);
+    let lines: Vec<&str> = ended.expect(1).err.lines().collect();
+    assert!(
+        lines.len() == 2 && lines[1].contains("cut.mcap: it is damaged (it ends within a record)"),
+        "{lines:?}"
+    );
+    assert!(lines[1].ends_with("what is before that was exported"), "{lines:?}");
+    let less = decode(&machine.path("cut.pcapng")).expect(0).out.lines().count();
+    assert!((10..count).contains(&less), "{less} {count}");
+    let cut = machine.write("cut.pcapng", &bytes[..bytes.len() - 9]);
+    let ended = decode(&cut);
+    assert_eq!(ended.expect(1).out.lines().count(), count);
+    assert!(ended.err.contains("cut.pcapng: its end is missing") && ended.err.lines().count() == 1);
+    let mut broken = bytes.clone();
+    let middle = bytes.len() / 2;
+    broken[middle..middle + 400].fill(0xEE);
+    let ended = decode(&machine.write("broken.pcapng", broken));
+    assert!(ended.expect(1).err.contains("broken.pcapng: it is damaged (") && ended.err.lines().count() == 1);
+    for (path, why) in [
+        (path.clone(), "x.mcap: not a capture; name one"),
+        (machine.path("none"), "none: No such file or directory"),
+        (machine.path(""), "Is a directory"),
+        (machine.write("empty", ""), "empty: not a capture; name one"),
+    ] {
+        decode(&path).refused(&[why]);
+    }
 }

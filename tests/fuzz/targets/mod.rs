@@ -6,6 +6,7 @@
 #[path = "../../support/forward.rs"]
 mod forward;
 
+mod capture;
 mod channel;
 mod commanded;
 mod commands;
@@ -24,6 +25,7 @@ mod profibus_wire;
 mod recording;
 mod telegram;
 
+pub use capture::capture;
 pub use channel::channel;
 pub use config::{config, config_keys};
 pub use ethercat::ethercat;

@@ -7,6 +7,7 @@ mod arrivals;
 mod background;
 mod bring_up;
 mod campaign;
+mod captures;
 mod carrier;
 mod commanding;
 mod commands;
