@@ -157,8 +157,9 @@ pub struct Engine<C> {
     changed: bool,
     /// A drive has reported monitored variables in this cycle.
     shows: bool,
-    /// No axis has anything to begin or to plan in this cycle: each was armed as it was evaluated. It saves a pass over
-    /// all of them: 14 instructions and two to six misses of the first-level cache a drive.
+    /// No axis has anything to begin or to plan in this cycle: each was armed as it was evaluated, and nothing has
+    /// stopped one since, nor has the task run. It saves a pass over all of them: 14 instructions and two to six misses
+    /// of the first-level cache a drive.
     armed: bool,
     /// The loop was awake before the grid point of this slot.
     spun: bool,

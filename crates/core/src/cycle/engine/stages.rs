@@ -82,7 +82,7 @@ impl<C: Clock> Engine<C> {
         if take_calls(&mut self.controllers, &mut self.channels.bells) {
             // Before an axis writes what is desired: those of a group are for all of its members.
             self.groups.take_setpoints(cycle, &mut self.controllers);
-        } else if self.armed && self.task.is_none() && self.channels.bells.are_silent() {
+        } else if self.armed && self.channels.bells.are_silent() {
             return Left::Nothing;
         }
         let (mut calls, mut stops, mut rows) = (false, false, false);
@@ -123,6 +123,7 @@ impl<C: Clock> Engine<C> {
 
     /// Stops every axis.
     pub(super) fn stop_axes(&mut self, stop: impl Fn(&mut DriveController)) {
+        self.armed = false;
         // What was posted before the stop ends with it.
         take_commands(&mut self.controllers, &mut self.channels.bells);
         for controller in &mut self.controllers {
@@ -168,6 +169,7 @@ impl<C: Clock> Engine<C> {
 
     pub(super) fn run_task(&mut self, cycle: &Cycle, before: Time) {
         let Some(task) = &mut self.task else { return };
+        self.armed = false;
         let mut axes = Axes::new(&mut self.controllers, &mut self.task_id, cycle, before, &self.channels.log);
         let result = catch_unwind(AssertUnwindSafe(|| task(cycle, &mut axes)));
         let panicked = self.channels.log.flag(false, result.is_err());
