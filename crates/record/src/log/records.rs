@@ -10,6 +10,7 @@ use mcap::records::{Record, Statistics, op};
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
 
 use super::layout::LONGEST_RECORD;
+use crate::recording::lz4::Decoder;
 
 /// What is wrong with a file.
 #[derive(thiserror::Error)]
@@ -61,7 +62,8 @@ impl<R: Read> Records<R> {
             .with_validate_data_section_crc(true)
             .with_validate_summary_section_crc(true)
             .with_record_length_limit(LONGEST_RECORD);
-        let reader = LinearReader::new_with_options(options);
+        let mut reader = LinearReader::new_with_options(options);
+        reader.add_decompressor(Decoder::default()).expect("it has a name");
         Records { file, reader, place: Place::default(), is_over: false }
     }
 
@@ -199,7 +201,9 @@ impl From<Unsound> for String {
                 format!("its chunks are compressed ({by}): `mcap decompress` undoes that")
             }
             McapError::RecordTooLarge { .. } => Unsound::Length.to_string(),
-            McapError::BadChunkCrc { .. } => "a part of it has other bytes than were written".into(),
+            McapError::BadChunkCrc { .. } | McapError::DecompressionError(_) => {
+                "a part of it has other bytes than were written".into()
+            }
             McapError::BadDataCrc { .. } => {
                 "somewhere before its end it has other bytes than were written".into()
             }

@@ -10,7 +10,8 @@
 //! | `messages` | the fields of each topic |
 //! | `native` | native process data, which come in parts |
 //! | `schema` | messages as bytes, and their description |
-//! | `writer` | the file |
+//! | `writer` | records as messages |
+//! | `container`, `lz4` | the file, and its compression |
 //! | `wire` | the log of the loop in it, for a replay |
 //! | `reading` | a file, whichever version wrote it |
 //! | `blackbox` | a file of the black box as a recording |
@@ -20,7 +21,9 @@
 //! it. A disk that is too slow, or full, costs records, which are counted, and makes the run a failure.
 
 pub mod blackbox;
+mod container;
 pub mod csv;
+pub(crate) mod lz4;
 pub mod machine;
 mod messages;
 mod native;

@@ -42,8 +42,10 @@ pub enum Get<T> {
     F32(fn(&T) -> f32),
     /// In words.
     Text(fn(&T) -> &str),
-    /// A number that has a name.
+    /// A number that has a name: two fields, the second one with `_name` behind the name of the first one ...
     Named(fn(&T) -> u32, &'static Names),
+    /// ... which is this.
+    Name(&'static Names),
     /// One of several of 64 bits.
     Item(fn(&T) -> &[f64], usize),
     /// As they are.
@@ -54,7 +56,46 @@ pub enum Get<T> {
 #[derive(Debug)]
 pub struct Table<T> {
     name: String,
-    fields: Vec<(Cow<'static, str>, Get<T>)>,
+    fields: Vec<Field<T>>,
+    /// So many bytes are made ready for it; what texts take comes on top.
+    room: usize,
+}
+
+/// A field of a message.
+#[derive(Debug)]
+struct Field<T> {
+    /// What stands before its value, and how many bytes of that.
+    key: [u8; 4],
+    key_length: usize,
+    get: Get<T>,
+    name: Cow<'static, str>,
+}
+
+impl<T> Field<T> {
+    fn new(number: u64, name: Cow<'static, str>, get: Get<T>) -> Field<T> {
+        let how = match get {
+            Get::U64(_) | Get::U32(_) | Get::I64(_) | Get::Bool(_) | Get::Named(..) | Get::Name(_) => VARINT,
+            Get::F64(_) | Get::Item(..) => FIXED_64,
+            Get::F32(_) => FIXED_32,
+            Get::Text(_) | Get::Bytes(_) => LENGTH,
+        };
+        let mut room = [0; LONGEST_FIELD];
+        let key_length = put(&mut room, 0, number << 3 | how);
+        let key = [room[0], room[1], room[2], room[3]];
+        Field { key, key_length, get, name }
+    }
+
+    /// It takes no more, but what stands behind a length.
+    fn longest(&self) -> usize {
+        self.key_length
+            + match self.get {
+                Get::Bool(_) => 1,
+                Get::U32(_) | Get::Named(..) | Get::Name(_) => 5,
+                Get::F32(_) => 4,
+                Get::F64(_) | Get::Item(..) => 8,
+                Get::U64(_) | Get::I64(_) | Get::Text(_) | Get::Bytes(_) => 10,
+            }
+    }
 }
 
 /// How a value is written: the last three bits of a field's key.
@@ -66,7 +107,17 @@ const FIXED_32: u64 = 5;
 impl<T> Table<T> {
     /// A message of these fields.
     pub fn new(name: &str, fields: Vec<(Cow<'static, str>, Get<T>)>) -> Table<T> {
-        Table { name: name.to_owned(), fields }
+        let with_names = fields.into_iter().flat_map(|(name, get)| {
+            let of_number = match get {
+                Get::Named(_, names) => Some((format!("{name}_name").into(), Get::Name(names))),
+                _ => None,
+            };
+            [(name, get)].into_iter().chain(of_number)
+        });
+        let fields = (1..).zip(with_names).map(|(number, (name, get))| Field::new(number, name, get));
+        let fields: Vec<_> = fields.collect();
+        let room = fields.iter().map(Field::longest).sum::<usize>() + LONGEST_FIELD;
+        Table { name: name.to_owned(), fields, room }
     }
 
     /// Its name with the package.
@@ -74,50 +125,61 @@ impl<T> Table<T> {
         format!("{PACKAGE}.{}", self.name)
     }
 
-    /// Replaces `out` by the bytes of the message about `of`. What is 0 is left out, as by every writer of proto3.
+    /// Appends the bytes of the message about `of`. What is 0 is left out, as by every writer of proto3.
     pub fn encode(&self, of: &T, out: &mut Vec<u8>) {
-        out.clear();
-        for (number, (_, get)) in (1..).zip(&self.fields) {
-            match get {
-                Get::U64(get) => varint(out, number, get(of)),
-                Get::U32(get) | Get::Named(get, _) => varint(out, number, get(of).into()),
-                Get::Bool(get) => varint(out, number, get(of).into()),
+        let (room, mut at) = (self.room, out.len());
+        out.resize(at + room, 0);
+        let mut bytes = &mut out[..];
+        let mut fields = self.fields.iter();
+        while let Some(field) = fields.next() {
+            match field.get {
+                Get::U64(get) => at = field.varint(bytes, at, get(of)),
+                Get::U32(get) => at = field.varint(bytes, at, get(of).into()),
+                Get::Named(get, _) => {
+                    let (value, of_name) = (get(of).into(), fields.next());
+                    at = field.varint(bytes, at, value);
+                    at = of_name.map_or(at, |of_name| of_name.varint(bytes, at, value));
+                }
+                Get::Name(_) => {}
+                Get::Bool(get) => at = field.varint(bytes, at, get(of).into()),
                 Get::I64(get) => {
                     let value = get(of);
-                    varint(out, number, ((value << 1) ^ (value >> 63)) as u64);
+                    at = field.varint(bytes, at, ((value << 1) ^ (value >> 63)) as u64);
                 }
-                Get::F64(get) => fixed_64(out, number, get(of)),
+                Get::F64(get) => at = field.fixed(bytes, at, get(of).to_le_bytes()),
                 Get::Item(get, item) => {
-                    fixed_64(out, number, get(of).get(*item).copied().unwrap_or(f64::NAN));
+                    let value = get(of).get(item).copied().unwrap_or(f64::NAN);
+                    at = field.fixed(bytes, at, value.to_le_bytes());
                 }
-                Get::F32(get) => {
-                    let bits = get(of).to_bits();
-                    if bits != 0 {
-                        key(out, number, FIXED_32);
-                        out.extend_from_slice(&bits.to_le_bytes());
-                    }
+                Get::F32(get) => at = field.fixed(bytes, at, get(of).to_le_bytes()),
+                Get::Text(get) => {
+                    at = field.bytes(out, at, get(of).as_bytes(), room);
+                    bytes = &mut out[..];
                 }
-                Get::Text(get) => bytes(out, number, get(of).as_bytes()),
-                Get::Bytes(get) => bytes(out, number, get(of)),
+                Get::Bytes(get) => {
+                    at = field.bytes(out, at, get(of), room);
+                    bytes = &mut out[..];
+                }
             }
         }
+        out.truncate(at);
     }
 
     /// What stands in the file: a `FileDescriptorSet` of this message.
     pub fn descriptor(&self) -> Vec<u8> {
         let mut names_of: Vec<DescriptorProto> = Vec::new();
         let mut fields = Vec::new();
-        for (number, (name, get)) in (1..).zip(&self.fields) {
+        for (number, Field { name, get, .. }) in (1..).zip(&self.fields) {
             let (kind, type_name) = match get {
                 Get::U64(_) => (Type::Uint64, None),
-                Get::U32(_) => (Type::Uint32, None),
+                Get::U32(_) | Get::Named(..) => (Type::Uint32, None),
                 Get::I64(_) => (Type::Sint64, None),
                 Get::Bool(_) => (Type::Bool, None),
                 Get::F64(_) | Get::Item(..) => (Type::Double, None),
                 Get::F32(_) => (Type::Float, None),
                 Get::Text(_) => (Type::String, None),
                 Get::Bytes(_) => (Type::Bytes, None),
-                Get::Named(_, names) => {
+                Get::Name(names) => {
                     if names_of.iter().all(|known| known.name() != names.name) {
                         names_of.push(names.descriptor());
                     }
@@ -187,39 +249,54 @@ pub fn identifier(name: &str) -> String {
     if needs_letter { format!("v{out}") } else { out.to_owned() }
 }
 
-fn put(out: &mut Vec<u8>, mut value: u64) {
-    while value >= 0x80 {
-        out.push(value as u8 | 0x80);
-        value >>= 7;
+/// The most of [`Field::longest`]: a key has 4 bytes at most, a number 10.
+const LONGEST_FIELD: usize = 16;
+
+/// Each writes the field from `at` on, and returns where it ends.
+impl<T> Field<T> {
+    fn key<'a>(&self, bytes: &'a mut [u8], at: usize) -> &'a mut [u8; LONGEST_FIELD] {
+        let room = bytes[at..].first_chunk_mut::<LONGEST_FIELD>().expect("there is room for each field");
+        room[..4].copy_from_slice(&self.key);
+        room
     }
-    out.push(value as u8);
-}
 
-fn key(out: &mut Vec<u8>, number: u64, how: u64) {
-    put(out, number << 3 | how);
-}
-
-fn varint(out: &mut Vec<u8>, number: u64, value: u64) {
-    if value != 0 {
-        key(out, number, VARINT);
-        put(out, value);
+    fn varint(&self, bytes: &mut [u8], at: usize, value: u64) -> usize {
+        if value == 0 {
+            return at;
+        }
+        at + put(self.key(bytes, at), self.key_length, value)
     }
-}
 
-fn fixed_64(out: &mut Vec<u8>, number: u64, value: f64) {
-    let bits = value.to_bits();
-    if bits != 0 {
-        key(out, number, FIXED_64);
-        out.extend_from_slice(&bits.to_le_bytes());
+    fn fixed<const BYTES: usize>(&self, bytes: &mut [u8], at: usize, value: [u8; BYTES]) -> usize {
+        if value == [0; BYTES] {
+            return at;
+        }
+        self.key(bytes, at)[self.key_length..][..BYTES].copy_from_slice(&value);
+        at + self.key_length + BYTES
     }
-}
 
-fn bytes(out: &mut Vec<u8>, number: u64, value: &[u8]) {
-    if !value.is_empty() {
-        key(out, number, LENGTH);
-        put(out, value.len() as u64);
+    /// Makes `room` behind it, in which the next ones are written.
+    fn bytes(&self, out: &mut Vec<u8>, at: usize, value: &[u8], room: usize) -> usize {
+        if value.is_empty() {
+            return at;
+        }
+        let begin = self.varint(out, at, value.len() as u64);
+        out.truncate(begin);
         out.extend_from_slice(value);
+        let end = out.len();
+        out.resize(end + room, 0);
+        end
     }
+}
+
+/// Writes a number from `at` on; where it ends.
+fn put(room: &mut [u8; LONGEST_FIELD], mut at: usize, mut value: u64) -> usize {
+    while value >= 0x80 {
+        room[at % LONGEST_FIELD] = value as u8 | 0x80;
+        (at, value) = (at + 1, value >> 7);
+    }
+    room[at % LONGEST_FIELD] = value as u8;
+    at + 1
 }
 
 #[cfg(test)]
@@ -266,7 +343,7 @@ mod tests {
     fn zeros_take_no_bytes() {
         let mut out = vec![1, 2, 3];
         table().encode(&All::default(), &mut out);
-        assert!(out.is_empty(), "{out:?}");
+        assert_eq!(out, [1, 2, 3]);
     }
 
     #[test]

@@ -199,8 +199,8 @@ fn others_find_metadata_statistics_and_an_index_of_every_chunk() {
     let summary = mcap::Summary::read(&bytes).unwrap().unwrap();
     let statistics = summary.stats.unwrap();
     assert_eq!(statistics.message_count, 3 * 2_500 + 5);
-    // One a second.
-    assert_eq!((statistics.chunk_count, summary.chunk_indexes.len()), (3, 3));
+    // One each 100 ms; the cause of a late cycle came behind the last one.
+    assert_eq!((statistics.chunk_count, summary.chunk_indexes.len()), (26, 26));
     let mut about = Vec::new();
     for index in &summary.metadata_indexes {
         about.push(mcap::read::metadata(&bytes, index).unwrap());
@@ -216,40 +216,91 @@ fn others_find_metadata_statistics_and_an_index_of_every_chunk() {
     assert_eq!(units("/axes/y/monitors")["demand-current"], "A");
 }
 
+/// Where each chunk begins, and where it ends with its index.
+fn chunks(bytes: &[u8]) -> Vec<std::ops::Range<usize>> {
+    let summary = mcap::Summary::read(bytes).unwrap().unwrap();
+    let begin = |index: &mcap::records::ChunkIndex| index.chunk_start_offset as usize;
+    let end = |index: &mcap::records::ChunkIndex| begin(index) + index.chunk_length as usize;
+    summary.chunk_indexes.iter().map(|index| begin(index)..end(index)).collect()
+}
+
+/// The length of the records of all chunks, and when their messages begin and end.
+fn spans(bytes: &[u8]) -> Vec<(u64, std::ops::RangeInclusive<u64>)> {
+    let indexes = mcap::Summary::read(bytes).unwrap().unwrap().chunk_indexes;
+    let span = |index: mcap::records::ChunkIndex| index.message_start_time..=index.message_end_time;
+    indexes.into_iter().map(|index| (index.uncompressed_size, span(index))).collect()
+}
+
 #[test]
-fn a_file_that_was_cut_anywhere_is_read_up_to_there_and_it_is_said() {
-    let bytes = written(&records(1_200));
-    let (whole, _) = messages(bytes.clone());
-    let first_chunk = {
-        let summary = mcap::Summary::read(&bytes).unwrap().unwrap();
-        let index =
-            summary.chunk_indexes.iter().map(|index| index.chunk_start_offset + index.chunk_length).min();
-        index.unwrap() as usize
+fn a_chunk_has_the_messages_of_100_ms_at_most() {
+    let of_period = |period_ns: u64, slots: &mut dyn Iterator<Item = u64>| {
+        let mut writer = Writer::new(Vec::new(), Machine { period_ns, ..machine() }, UTC_NS).unwrap();
+        let mut slots = slots.peekable();
+        while let Some(index) = slots.next() {
+            let grid = BEGIN + index * period_ns;
+            let record = CycleRecord { index, grid, ..CycleRecord::default() };
+            [drive(index, 0), Record::Cycle(record)].iter().for_each(|record| writer.enter(record).unwrap());
+            if let Some(count) = slots.peek().map(|next| next - index - 1).filter(|count| *count > 0) {
+                let (first, grid) = (index + 1, grid + period_ns);
+                let skipped = SkippedRecord { first, grid, count, ..SkippedRecord::default() };
+                writer.enter(&Record::Skipped(skipped)).unwrap();
+            }
+        }
+        spans(&writer.finish(0).unwrap())
     };
-    let mut before = 0;
-    for length in (0..bytes.len()).step_by(bytes.len() / 31) {
+    for (period_ns, of_a_chunk) in [(MS / 4, 400), (MS, 100), (30 * MS, 4), (100 * MS, 1), (S, 1)] {
+        let spans = of_period(period_ns, &mut (0..5 * of_a_chunk));
+        assert_eq!(spans.len(), 5, "{period_ns}");
+        for (chunk, (_, span)) in (0..).zip(spans) {
+            let begin = 1_005 * S + chunk * of_a_chunk * period_ns;
+            assert_eq!(span, begin..=begin + (of_a_chunk - 1) * period_ns);
+        }
+    }
+    // Slots that are passed over.
+    let spans = of_period(MS, &mut (0..2_000).filter(|index| index % 170 < 30));
+    assert!(spans.iter().all(|(_, span)| span.end() - span.start() < 100 * MS), "{spans:?}");
+}
+
+#[test]
+fn a_file_that_was_cut_anywhere_has_all_chunks_before_that_and_it_is_said() {
+    let bytes = written(&records(520));
+    let chunks = chunks(&bytes);
+    let (whole, _) = messages(bytes.clone());
+    let edges = chunks.iter().flat_map(|chunk| [chunk.start, chunk.start + 1, chunk.end - 1, chunk.end]);
+    let anywhere = (0..bytes.len()).step_by(bytes.len() / 31);
+    for length in edges.chain(anywhere).chain(chunks[1].clone().step_by(23)) {
         let (read, wrong) = messages(bytes[..length].to_vec());
         assert!(matches!(wrong, Some(Wrong::Cut | Wrong::Foreign)), "{length}: {wrong:?}");
+        // A cycle of two axes: three messages. Command and events stand in the first chunk. The last 4 bytes of a
+        // chunk say that its LZ4 ends, and may be missing.
+        let of = |chunks: usize| if chunks > 0 { (300 * chunks + 4).min(whole.len()) } else { 0 };
+        let [least, most] =
+            [0, 4].map(|mark| of(chunks.iter().filter(|chunk| chunk.end - mark <= length).count()));
+        assert!((least..=most).contains(&read.len()), "{length}: {} of {least} to {most}", read.len());
         assert_eq!(read[..], whole[..read.len()]);
-        assert!(read.len() >= before, "{length}");
-        // A cycle of two axes: three messages.
-        assert!(length < first_chunk || read.len() >= 3 * 1_000, "{length}: {}", read.len());
-        before = read.len();
     }
-    assert!(before > 3_000, "{before}");
 }
 
 #[test]
 fn a_changed_byte_is_damage_and_the_files_of_others_are_foreign() {
-    let mut bytes = written(&records(1_800));
+    let bytes = written(&records(350));
     let (whole, _) = messages(bytes.clone());
-    let place = bytes.len() * 2 / 3;
-    bytes[place] ^= 1;
-    let (read, wrong) = messages(bytes);
-    let Some(Wrong::Damaged(why)) = wrong else { panic!("{wrong:?}") };
-    // Nothing of its chunk, which begins after a second.
-    assert!(why.contains("CRC") && (3_000..3_100).contains(&read.len()), "{why}: {}", read.len());
-    assert_eq!(read[..], whole[..read.len()]);
+    let chunk = chunks(&bytes)[2].clone();
+    // Behind the head of its LZ4, up to the mark of its end: the checksum of the chunk has the rest.
+    for place in (chunk.start + 60..chunk.end - 4).step_by(19) {
+        let mut bytes = bytes.clone();
+        bytes[place] ^= 1;
+        let (read, wrong) = messages(bytes);
+        match wrong {
+            // Nothing of the chunk.
+            Some(Wrong::Damaged(why)) if why.contains("CRC") || why.contains("decompression") => {
+                assert_eq!(read[..], whole[..604], "{place}");
+            }
+            // The same bytes stand in another place, too.
+            Some(Wrong::Somewhere(_)) => assert_eq!(read, whole, "{place}"),
+            other => panic!("{place}: {other:?}"),
+        }
+    }
     for foreign in [&b""[..], b"PNG", &[0; 1_000]] {
         let (read, wrong) = messages(foreign.to_vec());
         assert!(read.is_empty() && wrong.is_some_and(|why| why.is_all() || matches!(why, Wrong::Cut)));

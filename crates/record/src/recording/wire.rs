@@ -1,14 +1,11 @@
 //! The log of the loop in a recording, from which `replay` repeats the run: a topic of its own, and metadata around it.
 
 use std::collections::BTreeMap;
-use std::io::Write;
+use std::io::{self, Write};
 
-use mcap::McapError;
-use mcap::records::Metadata;
-use mcap::write::NoSeek;
-
+use super::container::Container;
 use super::schema::{Get, Table};
-use super::writer::{Topic, Topics};
+use super::writer::Topic;
 use crate::log::layout::{BEGIN, Begin, CUT_AT, END, TOPIC};
 use fieldbeat_core::inputs::recording::LogReader;
 use fieldbeat_telemetry::log::LogBegin;
@@ -27,16 +24,11 @@ pub struct Wire {
 
 impl Wire {
     /// Begins it in a file that has no message yet, by a program of this version.
-    pub fn begin<W: Write>(
-        out: &mut mcap::Writer<NoSeek<W>>,
-        log: LogBegin,
-        version: &str,
-    ) -> Result<Wire, McapError> {
+    pub fn begin<W: Write>(out: &mut Container<W>, log: LogBegin, version: &str) -> io::Result<Wire> {
         let LogBegin { reader, machine, plan, has_task } = log;
-        let metadata = Begin::new(version, machine, plan, has_task).to_map();
-        out.write_metadata(&Metadata { name: BEGIN.to_owned(), metadata })?;
+        out.metadata(BEGIN, &Begin::new(version, machine, plan, has_task).to_map())?;
         let table = Table::new("Wire", vec![("words".into(), Get::Bytes(|bytes: &Vec<u8>| bytes))]);
-        let topic = Topics(out).add(TOPIC, &BTreeMap::new(), table)?;
+        let topic = Topic::add(out, TOPIC, &BTreeMap::new(), table)?;
         Ok(Wire { reader, topic, words: Vec::new(), bytes: Vec::new() })
     }
 
@@ -62,9 +54,9 @@ impl Wire {
         self.reader.ended_at()
     }
 
-    /// What stands behind it.
-    pub fn end(&self) -> Metadata {
-        let metadata = self.cut_at().map(|cycle| (CUT_AT.to_owned(), cycle.to_string()));
-        Metadata { name: END.to_owned(), metadata: metadata.into_iter().collect() }
+    /// Writes what stands behind it.
+    pub fn end<W: Write>(&self, out: &mut Container<W>) -> io::Result<()> {
+        let cut_at = self.cut_at().map(|cycle| (CUT_AT.to_owned(), cycle.to_string()));
+        out.metadata(END, &cut_at.into_iter().collect())
     }
 }

@@ -1,15 +1,10 @@
-//! The file of a recording while it is written: MCAP, in chunks with an index each, so that it can be read up to its
-//! last whole chunk whatever becomes of the program.
-//!
-//! Chunks are not compressed: what compresses them for MCAP is C. A chunk ends after a second, or after 8 MiB.
+//! The records of a machine as messages of a file. A chunk of it has 100 ms at most, or somewhat more than 8 MiB.
 
 use std::collections::BTreeMap;
 use std::io::{self, Write};
+use std::sync::Arc;
 
-use mcap::records::{MessageHeader, Metadata};
-use mcap::write::NoSeek;
-use mcap::{McapError, WriteOptions};
-
+use super::container::Container;
 use super::machine::{END, MACHINE, Machine, PROGRAM};
 use super::messages::{self, At, AxisRecord, CommandText, EventText, LateText, NativeValues};
 use super::native::Parts;
@@ -19,15 +14,12 @@ use crate::summary::named;
 use fieldbeat_core::cycle::record::{
     CycleRecord, EventRecord, MonitorRecord, Record, ReferenceRecord, SkippedRecord,
 };
-use fieldbeat_core::time::{S, Time};
+use fieldbeat_core::time::{MS, Time};
 use fieldbeat_telemetry::causes::Judged;
 use fieldbeat_telemetry::log::LogBegin;
 
-/// A chunk ends after so many bytes. An entry for each is kept until the end of the file: some 20 bytes a topic.
-const CHUNK_BYTES: u64 = 8 << 20;
-
-/// It also ends after so much machine time.
-const CHUNK_NS: u64 = S;
+/// A chunk has so much machine time at most: no more is lost with a program that is killed.
+const CHUNK_NS: u64 = 100 * MS;
 
 /// Records that wait for the one of their cycle. More are written by the time of the cycle before: that of their own
 /// was lost.
@@ -38,12 +30,13 @@ const MOST_PENDING: usize = 1 << 14;
 pub struct Topic<T> {
     channel: u16,
     sequence: u32,
-    table: Table<T>,
+    /// Topics of the same type have one.
+    table: Arc<Table<T>>,
 }
 
 /// What writes the records of one machine.
 pub struct Writer<W: Write> {
-    out: mcap::Writer<NoSeek<W>>,
+    out: Container<W>,
     machine: Machine,
     axes: Vec<Topic<At<AxisRecord>>>,
     monitors: Vec<Option<Topic<At<MonitorRecord>>>>,
@@ -67,7 +60,6 @@ pub struct Writer<W: Write> {
     written: Written,
     /// So much of it is out, in chunks that were ended in time.
     flushed: Written,
-    message: Vec<u8>,
 }
 
 /// How much was written.
@@ -85,32 +77,24 @@ impl<W: Write> std::fmt::Debug for Writer<W> {
     }
 }
 
-/// Opens the topics of a file.
-pub struct Topics<'a, W: Write>(pub &'a mut mcap::Writer<NoSeek<W>>);
-
-impl<W: Write> std::fmt::Debug for Topics<'_, W> {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str("Topics")
-    }
-}
-
-impl<W: Write> Topics<'_, W> {
-    /// One more.
-    pub fn add<T>(
-        &mut self,
+impl<T> Topic<T> {
+    /// One more topic of a file.
+    pub fn add<W: Write>(
+        out: &mut Container<W>,
         topic: &str,
         about: &BTreeMap<String, String>,
-        table: Table<T>,
-    ) -> Result<Topic<T>, McapError> {
-        let schema = self.0.add_schema(&table.full_name(), "protobuf", &table.descriptor())?;
-        let channel = self.0.add_channel(schema, topic, "protobuf", about)?;
+        table: impl Into<Arc<Table<T>>>,
+    ) -> io::Result<Topic<T>> {
+        let table = table.into();
+        let channel = out.channel(topic, about, &table.full_name(), &table.descriptor())?;
         Ok(Topic { channel, sequence: 0, table })
     }
-}
 
-/// What the operating system says, or else the library.
-fn why(error: McapError) -> io::Error {
-    if let McapError::Io(error) = error { error } else { io::Error::other(error) }
+    /// Writes its next message, of an instant of UTC.
+    fn send<W: Write>(&mut self, out: &mut Container<W>, utc_ns: u64, of: &T) -> io::Result<()> {
+        self.sequence = self.sequence.wrapping_add(1);
+        out.message(self.channel, self.sequence, utc_ns, |bytes| self.table.encode(of, bytes))
+    }
 }
 
 impl<W: Write> Writer<W> {
@@ -121,34 +105,27 @@ impl<W: Write> Writer<W> {
 
     /// The same with the log of its loop, if there is one.
     pub fn with_log(out: W, machine: Machine, utc_ns: i64, log: Option<LogBegin>) -> io::Result<Writer<W>> {
-        Writer::begin(out, machine, utc_ns, log).map_err(why)
-    }
-
-    fn begin(out: W, machine: Machine, utc_ns: i64, log: Option<LogBegin>) -> Result<Writer<W>, McapError> {
-        let mut out = WriteOptions::new()
-            .compression(None)
-            .chunk_size(Some(CHUNK_BYTES))
-            // A chunk is written as a whole.
-            .disable_seeking(true)
-            .library(concat!("fieldbeat ", env!("CARGO_PKG_VERSION")))
-            .create(NoSeek::new(out))?;
-        out.write_metadata(&Metadata { name: MACHINE.to_owned(), metadata: machine.about.clone() })?;
+        let mut out = Container::begin(out)?;
+        out.metadata(MACHINE, &machine.about)?;
         let version = machine.about.get(PROGRAM).map_or("", String::as_str);
         let wire = log.map(|log| Wire::begin(&mut out, log, version)).transpose()?;
-        let mut topics = Topics(&mut out);
         let none = BTreeMap::new();
         let (mut axes, mut monitors, mut natives) = (Vec::new(), Vec::new(), Vec::new());
+        let of_axis = Arc::new(messages::axis());
         for axis in &machine.axes {
             let topic = format!("/axes/{}", axis.name);
-            axes.push(topics.add(&topic, &axis.about, messages::axis())?);
+            axes.push(Topic::add(&mut out, &topic, &axis.about, Arc::clone(&of_axis))?);
             let units: BTreeMap<String, String> = axis.monitor.iter().flatten().cloned().collect();
             let names = axis.monitor.each_ref().map(|channel| channel.as_ref().map(|(name, _)| name.clone()));
             let table = messages::monitors(&names);
             let of_monitors = format!("{topic}/monitors");
-            monitors.push((!units.is_empty()).then(|| topics.add(&of_monitors, &units, table)).transpose()?);
+            monitors.push(
+                (!units.is_empty()).then(|| Topic::add(&mut out, &of_monitors, &units, table)).transpose()?,
+            );
             let native = axis.native.as_ref().map(|layout| {
-                let of_native = topics.add(&format!("{topic}/native"), &none, messages::native(layout))?;
-                Ok::<_, McapError>((of_native, Parts::new(layout.clone())))
+                let of_native =
+                    Topic::add(&mut out, &format!("{topic}/native"), &none, messages::native(layout))?;
+                Ok::<_, io::Error>((of_native, Parts::new(layout.clone())))
             });
             natives.push(native.transpose()?);
         }
@@ -156,12 +133,12 @@ impl<W: Write> Writer<W> {
             axes,
             monitors,
             natives,
-            cycle: topics.add("/cycle", &none, messages::cycle())?,
-            skipped: topics.add("/skipped", &none, messages::skipped())?,
-            reference: topics.add("/reference", &none, messages::reference())?,
-            events: topics.add("/events", &none, messages::events())?,
-            commands: topics.add("/commands", &none, messages::commands())?,
-            late: topics.add("/late", &none, messages::late())?,
+            cycle: Topic::add(&mut out, "/cycle", &none, messages::cycle())?,
+            skipped: Topic::add(&mut out, "/skipped", &none, messages::skipped())?,
+            reference: Topic::add(&mut out, "/reference", &none, messages::reference())?,
+            events: Topic::add(&mut out, "/events", &none, messages::events())?,
+            commands: Topic::add(&mut out, "/commands", &none, messages::commands())?,
+            late: Topic::add(&mut out, "/late", &none, messages::late())?,
             wire,
             out,
             machine,
@@ -171,7 +148,6 @@ impl<W: Write> Writer<W> {
             chunk: None,
             written: Written::default(),
             flushed: Written::default(),
-            message: Vec::new(),
         })
     }
 
@@ -195,24 +171,22 @@ impl<W: Write> Writer<W> {
         let Some(wire) = &mut self.wire else { return Ok(()) };
         wire.take();
         // The time of a message is that of a cycle.
-        if wire.is_enough() && self.chunk.is_some() { self.write_log().map_err(why) } else { Ok(()) }
+        if wire.is_enough() && self.chunk.is_some() { self.write_log() } else { Ok(()) }
     }
 
     /// Ends the log of the loop with what is left of it.
     pub fn end_log(&mut self) -> io::Result<()> {
         let Some(wire) = &mut self.wire else { return Ok(()) };
         wire.take();
-        let end = wire.end();
-        self.write_log().and_then(|()| self.out.write_metadata(&end)).map_err(why)
+        self.write_log()?;
+        self.wire.as_ref().map_or(Ok(()), |wire| wire.end(&mut self.out))
     }
 
     /// Writes what was taken of the log.
-    fn write_log(&mut self) -> Result<(), McapError> {
+    fn write_log(&mut self) -> io::Result<()> {
         let Some((topic, bytes)) = self.wire.as_mut().and_then(Wire::next) else { return Ok(()) };
-        let header = header(topic, self.grid.1, self.utc_ns);
-        topic.table.encode(bytes, &mut self.message);
         self.written.wire_bytes += bytes.len() as u64;
-        self.out.write_to_known_channel(&header, &self.message)
+        topic.send(&mut self.out, self.grid.1.0.saturating_add_signed(self.utc_ns), bytes)
     }
 
     /// How many records it has dropped, since others of the same native process data are missing.
@@ -222,21 +196,28 @@ impl<W: Write> Writer<W> {
 
     /// Takes a record in.
     pub fn enter(&mut self, record: &Record) -> io::Result<()> {
-        match record {
-            Record::Cycle(cycle) => self.grid = (cycle.index, cycle.grid),
-            Record::Skipped(skipped) => self.grid = (skipped.first, skipped.grid),
+        // The slot behind it, if that is known.
+        let next = match record {
+            Record::Cycle(cycle) => {
+                self.grid = (cycle.index, cycle.grid);
+                Some(cycle.index + 1)
+            }
+            Record::Skipped(skipped) => {
+                self.grid = (skipped.first, skipped.grid);
+                Some(skipped.first.saturating_add(skipped.count))
+            }
             _ if self.pending.len() < MOST_PENDING => {
                 self.pending.push(*record);
                 return Ok(());
             }
-            _ => {}
-        }
+            _ => None,
+        };
         let mut pending = std::mem::take(&mut self.pending);
-        pending.push(*record);
-        let written = pending.iter().try_for_each(|record| self.write(record));
+        let written = pending.iter().chain([record]).try_for_each(|record| self.write(record));
         pending.clear();
         self.pending = pending;
-        written.and_then(|()| self.end_old_chunk()).map_err(why)
+        written?;
+        next.map_or(Ok(()), |next| self.end_chunk_before(next))
     }
 
     /// A late cycle, once its cause is known.
@@ -244,10 +225,8 @@ impl<W: Write> Writer<W> {
         let axes = &self.machine.axes;
         let text = LateText::new(judged, named(judged.cause, |axis| Some(axes.get(axis)?.name.clone())));
         let at = At { cycle: judged.index, monotonic_ns: judged.from.0, of: text };
-        let header = header(&mut self.late, judged.from, self.utc_ns);
-        self.late.table.encode(&at, &mut self.message);
         self.written.messages += 1;
-        self.out.write_to_known_channel(&header, &self.message).map_err(why)
+        self.late.send(&mut self.out, judged.from.0.saturating_add_signed(self.utc_ns), &at)
     }
 
     /// When the slot of a record was due.
@@ -260,46 +239,30 @@ impl<W: Write> Writer<W> {
         }
     }
 
-    fn write(&mut self, record: &Record) -> Result<(), McapError> {
+    fn write(&mut self, record: &Record) -> io::Result<()> {
         let cycle = record.index();
         let now = self.instant(cycle);
-        let (utc_ns, monotonic_ns) = (self.utc_ns, now.0);
-        let message = &mut self.message;
-        /// Encodes a message of a topic; its header.
-        fn encode<T>(
-            topic: &mut Topic<At<T>>,
-            at: At<T>,
-            now: Time,
-            utc_ns: i64,
-            message: &mut Vec<u8>,
-        ) -> MessageHeader {
-            topic.table.encode(&at, message);
-            header(topic, now, utc_ns)
-        }
-        let header = match *record {
+        let utc_ns = now.0.saturating_add_signed(self.utc_ns);
+        let monotonic_ns = now.0;
+        let out = &mut self.out;
+        let sent = match *record {
             Record::Drive(drive) => {
                 let axis = usize::from(drive.axis);
                 let Some(topic) = self.axes.get_mut(axis) else { return Ok(()) };
                 let of = AxisRecord { drive, modulo: self.machine.axes[axis].modulo };
-                encode(topic, At { cycle, monotonic_ns, of }, now, utc_ns, message)
+                topic.send(out, utc_ns, &At { cycle, monotonic_ns, of })
             }
             Record::Monitor(of) => {
                 let Some(Some(topic)) = self.monitors.get_mut(usize::from(of.axis)) else { return Ok(()) };
-                encode(topic, At { cycle, monotonic_ns, of }, now, utc_ns, message)
+                topic.send(out, utc_ns, &At { cycle, monotonic_ns, of })
             }
-            Record::Reference(of) => {
-                encode(&mut self.reference, At { cycle, monotonic_ns, of }, now, utc_ns, message)
-            }
-            Record::Cycle(of) => {
-                encode(&mut self.cycle, At { cycle, monotonic_ns, of }, now, utc_ns, message)
-            }
-            Record::Skipped(of) => {
-                encode(&mut self.skipped, At { cycle, monotonic_ns, of }, now, utc_ns, message)
-            }
+            Record::Reference(of) => self.reference.send(out, utc_ns, &At { cycle, monotonic_ns, of }),
+            Record::Cycle(of) => self.cycle.send(out, utc_ns, &At { cycle, monotonic_ns, of }),
+            Record::Skipped(of) => self.skipped.send(out, utc_ns, &At { cycle, monotonic_ns, of }),
             Record::Command(of) => {
                 let Some(axis) = self.machine.axes.get(usize::from(of.axis)) else { return Ok(()) };
                 let of = CommandText::new(&axis.name, of);
-                encode(&mut self.commands, At { cycle, monotonic_ns, of }, now, utc_ns, message)
+                self.commands.send(out, utc_ns, &At { cycle, monotonic_ns, of })
             }
             Record::Native(part) => {
                 let native = self.natives.get_mut(usize::from(part.axis)).and_then(Option::as_mut);
@@ -308,16 +271,15 @@ impl<W: Write> Writer<W> {
                 if part.inputs > 0 {
                     of.received_at_ns = (now + u64::from(part.received_ns)).0;
                 }
-                encode(topic, At { cycle, monotonic_ns, of }, now, utc_ns, message)
+                topic.send(out, utc_ns, &At { cycle, monotonic_ns, of })
             }
             Record::Event(of) => {
                 let Some(of) = self.event(&of) else { return Ok(()) };
-                let message = &mut self.message;
-                encode(&mut self.events, At { cycle, monotonic_ns, of }, now, utc_ns, message)
+                self.events.send(&mut self.out, utc_ns, &At { cycle, monotonic_ns, of })
             }
         };
         self.written.messages += 1;
-        self.out.write_to_known_channel(&header, &self.message)
+        sent
     }
 
     fn event(&self, event: &EventRecord) -> Option<EventText> {
@@ -328,14 +290,13 @@ impl<W: Write> Writer<W> {
         Some(EventText::new(event.axis, &axis.name, &event.kind()?, begun_by, |code| axis.faults.name(code)))
     }
 
-    /// A chunk that is old enough ends.
-    fn end_old_chunk(&mut self) -> Result<(), McapError> {
-        let (_, now) = self.grid;
-        let begun = *self.chunk.get_or_insert(now);
-        if now.since(begun) >= CHUNK_NS {
-            self.chunk = Some(now);
+    /// Ends the chunk, unless the slot that comes next belongs to it.
+    fn end_chunk_before(&mut self, next: u64) -> io::Result<()> {
+        let begun = *self.chunk.get_or_insert(self.grid.1);
+        if self.instant(next).since(begun) >= CHUNK_NS {
             self.write_log()?;
             self.out.flush()?;
+            self.chunk = None;
             self.flushed = self.written;
         }
         Ok(())
@@ -344,20 +305,9 @@ impl<W: Write> Writer<W> {
     /// Ends the file; `lost` records are missing in it. Returns what it was written to.
     pub fn finish(mut self, lost: u64) -> io::Result<W> {
         let mut pending = std::mem::take(&mut self.pending);
-        let written = pending.drain(..).try_for_each(|record| self.write(&record));
+        pending.drain(..).try_for_each(|record| self.write(&record))?;
         let counts = [("lost_records", lost), ("messages", self.written.messages)];
-        let metadata = counts.map(|(key, count)| (key.to_owned(), count.to_string())).into();
-        written
-            .and_then(|()| self.out.write_metadata(&Metadata { name: END.to_owned(), metadata }))
-            .and_then(|()| self.out.finish().map(drop))
-            .map_err(why)?;
-        Ok(self.out.into_inner().into_inner())
+        self.out.metadata(END, &counts.map(|(key, count)| (key.to_owned(), count.to_string())).into())?;
+        self.out.finish()
     }
-}
-
-/// The header of the next message of a topic.
-fn header<T>(topic: &mut Topic<T>, now: Time, utc_ns: i64) -> MessageHeader {
-    topic.sequence = topic.sequence.wrapping_add(1);
-    let log_time = now.0.saturating_add_signed(utc_ns);
-    MessageHeader { channel_id: topic.channel, sequence: topic.sequence, log_time, publish_time: log_time }
 }
