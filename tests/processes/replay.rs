@@ -5,7 +5,9 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use fieldbeat_core::cycle::REVISION;
+use fieldbeat_record::log::records::{Records, Unsound};
 use fieldbeat_record::recording::reading::Wrong;
+use mcap::records::Record;
 
 use super::support::{Ended, LONG, Machine, PROGRAM, run, until};
 use super::{master, online, recordings, serve};
@@ -69,7 +71,7 @@ fn a_demo_with_all_protocols_is_repeated_bit_by_bit() {
 }
 
 #[test]
-fn a_killed_master_leaves_a_file_that_is_readable_and_repeated_up_to_its_last_second() {
+fn a_killed_master_leaves_a_file_that_is_readable_and_repeated_up_to_its_last_chunk() {
     let machine = Machine::new(120);
     let file = recorded(&machine, libc::SIGKILL);
     let (entries, wrong) = recordings::read(&file);
@@ -96,6 +98,37 @@ struct Sent {
     drive: usize,
     /// Where its bytes are in the file.
     at: std::ops::Range<usize>,
+}
+
+/// The same recording in chunks that are not compressed, of 1000 messages each.
+fn uncompressed(bytes: &[u8]) -> Vec<u8> {
+    let options = mcap::WriteOptions::new().compression(None).chunk_size(None);
+    let mut out = options.create(std::io::Cursor::new(Vec::new())).unwrap();
+    let mut messages = 0;
+    let end: Result<Option<()>, Unsound> = Records::new(bytes).find(|record| {
+        match record {
+            Record::Schema { header, data } => {
+                drop(out.add_schema_with_id(header.id, &header.name, &header.encoding, &data)?);
+            }
+            Record::Channel(of) => {
+                let encoding = &of.message_encoding;
+                drop(out.add_channel_with_id(of.id, of.schema_id, &of.topic, encoding, &of.metadata)?);
+            }
+            Record::Message { header, data } => {
+                out.write_to_known_channel(&header, &data)?;
+                messages += 1;
+                if messages % 1_000 == 0 {
+                    out.flush()?;
+                }
+            }
+            Record::Metadata(metadata) => out.write_metadata(&metadata)?,
+            _ => {}
+        }
+        Ok(None)
+    });
+    assert!(end.unwrap().is_none());
+    out.finish().unwrap();
+    out.into_inner().into_inner()
 }
 
 /// The first datagram that was sent in a cycle of the second chunk, whose checksum is taken away.
@@ -147,7 +180,7 @@ fn a_run_is_repeated_and_the_first_telegram_that_differs_is_named_by_cycle_and_d
     assert!(beyond.expect(1).err.contains("before cycle 99999999: the run ended there"), "{}", beyond.err);
 
     let whole = fs::read(&file).unwrap();
-    let mut bytes = whole.clone();
+    let mut bytes = uncompressed(&whole);
     let Sent { cycle, drive, at } = sent(&mut bytes);
     let other = machine.write("other.mcap", &bytes);
     // The data of the file have their checksum, too: at its end.

@@ -60,11 +60,22 @@ struct Chunk {
 const INDEX_ENTRY: u64 = 16;
 const INDEX: u64 = 15;
 
+/// Of a record before its content: opcode and length.
+const LENGTH: usize = 9;
+
+/// Of a message before that of its own: channel, sequence and two times.
+const MESSAGE: usize = 22;
+
 /// Appends a record, whose content `content` appends.
 fn record(out: &mut Vec<u8>, opcode: u8, content: impl FnOnce(&mut Vec<u8>)) {
     out.extend_from_slice(&[opcode, 0, 0, 0, 0, 0, 0, 0, 0]);
     let begin = out.len();
     content(out);
+    end_record(out, begin);
+}
+
+/// The content of the last record, which begins there, is complete.
+fn end_record(out: &mut [u8], begin: usize) {
     let length = (out.len() - begin) as u64;
     out[begin - size_of::<u64>()..begin].copy_from_slice(&length.to_le_bytes());
 }
@@ -183,8 +194,8 @@ impl<W: Write> Container<W> {
         };
         let mut schema = Vec::new();
         content(&mut schema);
-        // Behind opcode, length and number.
-        let known = self.schemas.iter().position(|known| known[11..] == schema);
+        // Behind its number.
+        let known = self.schemas.iter().position(|known| known[LENGTH + size_of::<u16>()..] == schema);
         let place = known.unwrap_or(self.schemas.len());
         let (Ok(schema), Ok(channel)) = (u16::try_from(place + 1), u16::try_from(self.channels.len() + 1))
         else {
@@ -232,15 +243,16 @@ impl<W: Write> Container<W> {
         of.index.extend_from_slice(&entry);
         let (from, to) = self.times.get_or_insert((at, at));
         (*from, *to) = (at.min(*from), at.max(*to));
-        record(&mut self.chunk, op::MESSAGE, |out| {
-            let mut head = [0; 22];
-            head[..2].copy_from_slice(&channel.to_le_bytes());
-            head[2..6].copy_from_slice(&sequence.to_le_bytes());
-            head[6..14].copy_from_slice(&time);
-            head[14..].copy_from_slice(&time);
-            out.extend_from_slice(&head);
-            content(out);
-        });
+        let begin = self.chunk.len() + LENGTH;
+        let mut head = [0; LENGTH + MESSAGE];
+        head[0] = op::MESSAGE;
+        head[9..11].copy_from_slice(&channel.to_le_bytes());
+        head[11..15].copy_from_slice(&sequence.to_le_bytes());
+        head[15..23].copy_from_slice(&time);
+        head[23..].copy_from_slice(&time);
+        self.chunk.extend_from_slice(&head);
+        content(&mut self.chunk);
+        end_record(&mut self.chunk, begin);
         Ok(())
     }
 

@@ -88,7 +88,7 @@ pub enum Wrong {
         this = env!("CARGO_PKG_VERSION")
     )]
     Format(String, String),
-    /// By another tool.
+    /// By another tool, and not with LZ4.
     #[error("its chunks are compressed ({0}): `mcap decompress` reads them")]
     Compressed(String),
 }
