@@ -21,14 +21,14 @@ fn with_wire(file: &Path) -> [&str; 3] {
     ["--record", file.to_str().unwrap(), "--record-wire"]
 }
 
-/// A run of two drives, recorded for more than two chunks; ended by SIGINT, or killed.
+/// A run of two drives, recorded for more than five chunks; ended by SIGINT, or killed.
 fn recorded(machine: &Machine, signal: i32) -> PathBuf {
     let config = machine.plain(2);
     let _sim = serve(&config);
     let file = machine.path("x.mcap");
     let running = online(&config, &with_wire(&file));
     let size = || fs::metadata(&file).map_or(0, |facts| facts.len());
-    for _ in 0..2 {
+    for _ in 0..5 {
         let before = size();
         assert!(until(LONG, || size() > before));
     }
@@ -100,7 +100,7 @@ struct Sent {
     at: std::ops::Range<usize>,
 }
 
-/// The same recording in chunks that are not compressed, of 1000 messages each.
+/// The same recording in chunks that are not compressed, of 100 messages each.
 fn uncompressed(bytes: &[u8]) -> Vec<u8> {
     let options = mcap::WriteOptions::new().compression(None).chunk_size(None);
     let mut out = options.create(std::io::Cursor::new(Vec::new())).unwrap();
@@ -117,7 +117,7 @@ fn uncompressed(bytes: &[u8]) -> Vec<u8> {
             Record::Message { header, data } => {
                 out.write_to_known_channel(&header, &data)?;
                 messages += 1;
-                if messages % 1_000 == 0 {
+                if messages % 100 == 0 {
                     out.flush()?;
                 }
             }
