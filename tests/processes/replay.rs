@@ -108,11 +108,11 @@ fn uncompressed(bytes: &[u8]) -> Vec<u8> {
     let end: Result<Option<()>, Unsound> = Records::new(bytes).find(|record| {
         match record {
             Record::Schema { header, data } => {
-                drop(out.add_schema_with_id(header.id, &header.name, &header.encoding, &data)?);
+                let _ = out.add_schema_with_id(header.id, &header.name, &header.encoding, &data)?;
             }
             Record::Channel(of) => {
                 let encoding = &of.message_encoding;
-                drop(out.add_channel_with_id(of.id, of.schema_id, &of.topic, encoding, &of.metadata)?);
+                let _ = out.add_channel_with_id(of.id, of.schema_id, &of.topic, encoding, &of.metadata)?;
             }
             Record::Message { header, data } => {
                 out.write_to_known_channel(&header, &data)?;
