@@ -187,19 +187,19 @@ impl Decoder {
             self.count("gaps in TCP");
         }
         let names = [ends.0, ends.1].map(|end| end.to_string());
-        let mut result = Ok(());
-        loop {
-            let size = match (of.1.front)(&stream.bytes) {
+        let (mut result, mut rest) = (Ok(()), &stream.bytes[..]);
+        while result.is_ok() {
+            let size = match (of.1.front)(rest) {
                 Front::Incomplete => break,
-                Front::Telegram(size) => size.min(stream.bytes.len()),
-                Front::Foreign(_) => stream.bytes.len(),
+                Front::Telegram(size) => size.clamp(1, rest.len()),
+                Front::Foreign(_) => rest.len(),
             };
-            let telegram: Vec<u8> = stream.bytes.drain(..size.max(1)).collect();
-            result = self.telegram(around, names.clone(), of, &telegram, take);
-            if result.is_err() {
-                break;
-            }
+            let (telegram, behind) = rest.split_at(size);
+            rest = behind;
+            result = self.telegram(around, names.clone(), of, telegram, take);
         }
+        let taken = stream.bytes.len() - rest.len();
+        stream.bytes.drain(..taken);
         self.streams.insert(ends, stream);
         result
     }

@@ -106,7 +106,7 @@ enum What {
     /// Of this connection, or of the serial wire.
     Bytes(usize),
     /// This connection has ended, or is another one from here on.
-    Anew(usize),
+    NewConnection(usize),
 }
 
 const NEW: Stream = Stream { port: None, next: [1, 1] };
@@ -177,14 +177,14 @@ impl<W: Write> Export<W> {
                 out
             }
             Kind::Broken | Kind::BytesUnsent => {
-                Passed { bytes: Vec::new(), ..passed(What::Anew(index), Direction::Outbound, 2) }
+                Passed { bytes: Vec::new(), ..passed(What::NewConnection(index), Direction::Outbound, 2) }
             }
             _ => return Ok(()),
         });
         Ok(())
     }
 
-    /// Tells the two meanings of a value apart that names a connection: it was ready, and the next look of all takes
+    /// Distinguishes the two meanings of a value that names a connection: it was ready, and the next look of all takes
     /// its bytes; or it was opened. Each bus has one source for both.
     fn learn(&mut self, looks: u64, entry: &Entry) {
         let Some((source, value)) = self.value.take() else { return };
@@ -194,7 +194,7 @@ impl<W: Write> Export<W> {
         {
             self.sources.insert(source, bus);
         } else if let Some(&bus) = self.sources.get(&source) {
-            let (what, direction) = (What::Anew(value as usize), Direction::Outbound);
+            let (what, direction) = (What::NewConnection(value as usize), Direction::Outbound);
             self.cycle.push(Passed { at: entry.at, bus, what, direction, bytes: Vec::new() });
         }
     }
@@ -248,7 +248,7 @@ impl<W: Write> Export<W> {
                 }
                 _ => Ok(()),
             },
-            What::Anew(index) => {
+            What::NewConnection(index) => {
                 if let Some(stream) = bus.streams.get_mut(index) {
                     *stream = NEW;
                 }

@@ -106,8 +106,8 @@ impl<R: Read> Capture<R> {
             .or_else(|| Some((is_pcap(first.swap_bytes())?, true)))
             .ok_or(Wrong::Foreign)?;
         (capture.form, capture.is_big) = (Form::Pcap, is_big);
-        if !capture.fill(PCAP_HEADER)? {
-            return Err(Wrong::Cut);
+        if !capture.fill(PCAP_HEADER).map_err(none)? {
+            return Err(Wrong::Foreign);
         }
         // Above the link type the file says how long the checksum of a frame is.
         let link_type = capture.long(16) as u16;
@@ -203,7 +203,7 @@ impl<R: Read> Capture<R> {
         self.is_big = match (self.block.get(4..).and_then(|order| word(false, order))).unwrap_or(0) {
             ORDER => false,
             order if order == ORDER.swap_bytes() => true,
-            _ => return Err(Wrong::Damaged("the begin of a section")),
+            _ => return Err(Wrong::Damaged("the header of a section")),
         };
         self.body(Some((self.long(0), 12)))
     }
@@ -281,7 +281,7 @@ impl<R: Read> Capture<R> {
     }
 }
 
-/// At the begin of a file nothing of it is known: what is cut or damaged there is no capture.
+/// At the beginning of a file nothing of it is known: what is cut or damaged there is no capture.
 fn none(wrong: Wrong) -> Wrong {
     if wrong.is_all() { wrong } else { Wrong::Foreign }
 }

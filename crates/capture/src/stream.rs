@@ -10,6 +10,8 @@ const MOST_SEGMENTS: usize = 64;
 /// One direction of a connection.
 #[derive(Debug, Default)]
 pub struct Stream {
+    /// The number of the segment that has opened the connection, if it is there.
+    opened: Option<u32>,
     /// The number of the next byte; `None`: whatever comes.
     next: Option<u32>,
     /// Bytes in order, of which no telegram was made.
@@ -23,11 +25,22 @@ impl Stream {
     pub fn take(&mut self, segment: Segment<'_>) -> bool {
         let mut sequence = segment.sequence;
         if segment.is_first {
+            // The same may come again.
+            if self.opened != Some(sequence) {
+                let next = Some(sequence.wrapping_add(1));
+                *self = Stream { opened: Some(sequence), next, ..Stream::default() };
+            }
             sequence = sequence.wrapping_add(1);
-            *self = Stream { next: Some(sequence), ..Stream::default() };
         }
         if segment.bytes.is_empty() {
             return false;
+        }
+        // Too far behind to be one that comes again: another connection of the same two ends.
+        let behind = self.next.map_or(0, |next| next.wrapping_sub(sequence).cast_signed());
+        if behind > MOST_HELD as i32 {
+            *self = Stream::default();
+            self.take(segment);
+            return true;
         }
         self.held.push((sequence, segment.bytes.to_vec()));
         self.next.get_or_insert(sequence);
@@ -91,6 +104,25 @@ mod tests {
             assert_eq!(stream.bytes, all);
             assert!(!stream.skip());
         }
+    }
+
+    #[test]
+    fn another_connection_of_the_same_ends_begins_anywhere() {
+        let mut stream = Stream::default();
+        let opens = |sequence| Segment { sequence, is_first: true, bytes: &[] };
+        stream.take(opens(1_000_000));
+        assert!(!stream.take(segment(1_000_001, &[1, 2])));
+        // The segment that has opened it comes again, and so does one with bytes.
+        stream.take(opens(1_000_000));
+        assert!(!stream.take(segment(1_000_001, &[1, 2])) && !stream.take(segment(1_000_003, &[3])));
+        assert_eq!(stream.bytes, [1, 2, 3]);
+        stream.take(opens(7));
+        assert!(!stream.take(segment(8, &[4])));
+        assert_eq!(stream.bytes, [4]);
+        // One whose opening is not in the capture.
+        let mut stream = Stream::default();
+        assert!(!stream.take(segment(1_000_001, &[1, 2])) && stream.take(segment(1, &[5])));
+        assert_eq!(stream.bytes, [5]);
     }
 
     #[test]

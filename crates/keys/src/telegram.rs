@@ -1,5 +1,5 @@
-//! Telegrams of a protocol in a capture, told apart and in words. Each protocol has its own in its package, made of the
-//! codecs of its master; `fieldbeat decode` and `fieldbeat export --pcapng` find them by what carries them.
+//! Telegrams of a protocol in a capture: where each ends, and what it says. Each protocol has its own in its package,
+//! made of the codecs of its master; `fieldbeat decode` and `fieldbeat export --pcapng` find them by what carries them.
 
 use std::fmt::{self, Write};
 
@@ -41,7 +41,7 @@ pub enum Way {
 /// What is at the front of bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Front {
-    /// Nothing, or the begin of a telegram.
+    /// Nothing, or the beginning of a telegram.
     Incomplete,
     /// A telegram of so many bytes.
     Telegram(usize),

@@ -98,7 +98,7 @@ fn answered(response: &Response<'_>, words: &mut Words) {
             words.field(format_args!("SDO value of {object}"));
             words.bytes(data);
         }
-        Response::Begun { object, .. } => words.field(format_args!("SDO begin of {object}")),
+        Response::Begun { object, .. } => words.field(format_args!("SDO segmented transfer of {object}")),
         Response::Downloaded { object } => words.field(format_args!("SDO written {object}")),
         Response::Abort { object, code: code @ AbortCode(_) } => {
             words.field(format_args!("SDO abort of {object}: {code}"));

@@ -26,7 +26,7 @@ fn words(bytes: &[u8], way: Way) -> Option<Words> {
     }
 }
 
-/// The begin of a message: what it is, its function and its header.
+/// The first words of a message: what it is, its function and its header.
 fn begin(what: &str, function: u8, Header { transaction, unit }: Header) -> Words {
     Words::new(format_args!("{what} of function {function}, transaction {transaction}, unit {unit}"))
 }
