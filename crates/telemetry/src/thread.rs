@@ -74,6 +74,9 @@ pub struct Measured {
     period_ns: u64,
 }
 
+/// So many records are entered without a pause for those who look.
+const PIECE: usize = 1024;
+
 /// So many files and emergencies are kept for the application.
 const MOST_KEPT: usize = 64;
 
@@ -370,9 +373,9 @@ impl TelemetryThread {
                     // Looked at before the ring is emptied, so that the last records are taken too.
                     let last = shared.end.load(Ordering::Acquire);
                     let mut batch = (!shared.taps.is_empty()).then(Vec::new);
-                    {
+                    while !ring.is_empty() {
                         let mut measured = shared.read();
-                        while let Ok(record) = ring.pop() {
+                        for record in std::iter::from_fn(|| ring.pop().ok()).take(PIECE) {
                             measured.enter(&record);
                             if let Some(black_box) = &mut black_box {
                                 black_box.enter(&record);
@@ -381,6 +384,9 @@ impl TelemetryThread {
                                 batch.push(record);
                             }
                         }
+                        drop(measured);
+                        // Who looks at it without a wait finds it free now and then, however much there is to do.
+                        std::thread::yield_now();
                     }
                     shared.taps.hand(batch.unwrap_or_default());
                     let wait = look();
