@@ -60,6 +60,13 @@ struct Chunk {
 const INDEX_ENTRY: u64 = 16;
 const INDEX: u64 = 15;
 
+/// Bytes of a chunk in the summary, about, and of a topic that it has.
+const INDEX_OF_CHUNK: usize = 100;
+const INDEX_OF_TOPIC: usize = 10;
+
+/// The summary is written in pieces of so many bytes.
+const PIECE: usize = 1 << 20;
+
 /// Of a record before its content: opcode and length.
 const LENGTH: usize = 9;
 
@@ -312,14 +319,25 @@ impl<W: Write> Container<W> {
 
     /// Writes a group of records of the summary. `groups` gets where it stands.
     fn end_group(&mut self, opcode: u8, groups: &mut Vec<u8>) -> io::Result<()> {
-        if !self.record.is_empty() {
+        self.end_group_from(self.at, opcode, groups)
+    }
+
+    /// The same of a group that began there, and of which a part is written already.
+    fn end_group_from(&mut self, start: u64, opcode: u8, groups: &mut Vec<u8>) -> io::Result<()> {
+        self.write()?;
+        if self.at > start {
             record(groups, op::SUMMARY_OFFSET, |out| {
                 out.push(opcode);
-                put_u64(out, self.at);
-                put_u64(out, self.record.len() as u64);
+                put_u64(out, start);
+                put_u64(out, self.at - start);
             });
         }
-        self.write()
+        Ok(())
+    }
+
+    /// About how many bytes the end of the file has.
+    pub fn summary(&self) -> u64 {
+        (INDEX_OF_CHUNK * self.chunks.len() + INDEX_OF_TOPIC * self.counts.len()) as u64
     }
 
     /// Ends the file. Returns what it was written to.
@@ -348,13 +366,18 @@ impl<W: Write> Container<W> {
             put_numbers(out, (1..).zip(self.channels.iter().map(|channel| channel.messages)));
         });
         self.end_group(op::STATISTICS, &mut groups)?;
-        let mut counts = &self.counts[..];
-        for chunk in &self.chunks {
+        let begin = self.at;
+        let (chunks, all_counts) = (std::mem::take(&mut self.chunks), std::mem::take(&mut self.counts));
+        let mut counts = &all_counts[..];
+        for chunk in &chunks {
             let (of, rest) = counts.split_at(chunk.channels);
             counts = rest;
             chunk.put_index(of, &mut self.record);
+            if self.record.len() > PIECE {
+                self.write()?;
+            }
         }
-        self.end_group(op::CHUNK_INDEX, &mut groups)?;
+        self.end_group_from(begin, op::CHUNK_INDEX, &mut groups)?;
         self.record.append(&mut self.metadata);
         self.end_group(op::METADATA_INDEX, &mut groups)?;
         let offsets = self.at;

@@ -1,5 +1,5 @@
-//! LZ4 frames, in which the chunks of a recording are compressed: those that any LZ4 reads, of blocks that stand for
-//! themselves. The checksum of a chunk stands before it; a frame has none.
+//! LZ4 frames, in which the chunks of a recording are compressed: those that any LZ4 reads, of independent
+//! blocks. The checksum of a chunk stands before it; a frame has none.
 
 use std::ops::Range;
 
@@ -10,12 +10,12 @@ use mcap::{McapError, McapResult};
 /// Its name in MCAP.
 pub const NAME: &str = "lz4";
 
-/// The mark of a frame, blocks of 4 MiB at most that stand for themselves, and the checksum of that.
+/// The magic number of a frame, independent blocks of 4 MiB at most, and the checksum of that.
 const HEAD: [u8; 7] = [0x04, 0x22, 0x4D, 0x18, 0x60, 0x70, 0x73];
 const MOST: usize = 4 << 20;
 
-/// Of the length of a block that is as it was, since nothing makes it shorter.
-const AS_IT_WAS: u32 = 1 << 31;
+/// Bit of the length of a block that is not compressed, since that would not make it shorter.
+const UNCOMPRESSED: u32 = 1 << 31;
 
 /// Appends the frame of these bytes to `out`.
 pub fn compress(bytes: &[u8], out: &mut Vec<u8>) {
@@ -32,7 +32,7 @@ pub fn compress(bytes: &[u8], out: &mut Vec<u8>) {
             _ => {
                 out.truncate(begin);
                 out.extend_from_slice(plain);
-                plain.len() as u32 | AS_IT_WAS
+                plain.len() as u32 | UNCOMPRESSED
             }
         };
         out[head..begin].copy_from_slice(&length.to_le_bytes());
@@ -45,7 +45,7 @@ pub fn compress(bytes: &[u8], out: &mut Vec<u8>) {
 enum Part {
     Head,
     Length,
-    Block { as_it_was: bool },
+    Block { is_plain: bool },
 }
 
 /// Reads the frames of [`compress`] for the library.
@@ -76,20 +76,23 @@ impl Decoder {
         let wrong = |what: &str| McapError::DecompressionError(what.to_owned());
         match self.part {
             Part::Head if self.held == HEAD => self.want(Part::Length, size_of::<u32>()),
-            Part::Head => return Err(wrong("its LZ4 is of another kind")),
+            Part::Head if self.held.starts_with(&HEAD[..4]) => {
+                return Err(McapError::UnsupportedCompression("lz4 with other options".to_owned()));
+            }
+            Part::Head => return Err(wrong("no LZ4 frame")),
             Part::Length => {
                 let length = self.held.first_chunk().map_or(0, |bytes| u32::from_le_bytes(*bytes));
-                match (length & !AS_IT_WAS) as usize {
+                match (length & !UNCOMPRESSED) as usize {
                     0 => self.want(Part::Head, HEAD.len()),
-                    bytes @ ..=MOST => self.want(Part::Block { as_it_was: length & AS_IT_WAS != 0 }, bytes),
+                    bytes @ ..=MOST => self.want(Part::Block { is_plain: length & UNCOMPRESSED != 0 }, bytes),
                     _ => return Err(wrong("a block of its LZ4 is too long")),
                 }
             }
-            Part::Block { as_it_was } => {
+            Part::Block { is_plain } => {
                 if self.block.is_empty() {
                     self.block = vec![0; MOST];
                 }
-                let length = if as_it_was {
+                let length = if is_plain {
                     self.block[..self.held.len()].copy_from_slice(&self.held);
                     self.held.len()
                 } else {

@@ -171,9 +171,9 @@ impl Sink for Whole {
         self.failure.take()
     }
 
-    /// Nothing: it is written all the time.
+    /// The end of the file: all else is written all the time.
     fn holds(&self) -> u64 {
-        0
+        self.writer.as_ref().map_or(0, Writer::summary)
     }
 
     fn finish(&mut self) -> Vec<Recorded> {

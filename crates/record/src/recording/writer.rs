@@ -18,7 +18,8 @@ use fieldbeat_core::time::{MS, Time};
 use fieldbeat_telemetry::causes::Judged;
 use fieldbeat_telemetry::log::LogBegin;
 
-/// A chunk has so much machine time at most: no more is lost with a program that is killed.
+/// A chunk has so much machine time at most, unless the records of cycles were lost: no more is lost with a program
+/// that is killed.
 const CHUNK_NS: u64 = 100 * MS;
 
 /// Records that wait for the one of their cycle. More are written by the time of the cycle before: that of their own
@@ -107,6 +108,8 @@ impl<W: Write> Writer<W> {
     pub fn with_log(out: W, machine: Machine, utc_ns: i64, log: Option<LogBegin>) -> io::Result<Writer<W>> {
         let mut out = Container::begin(out)?;
         out.metadata(MACHINE, &machine.about)?;
+        // A program that is killed leaves at least an empty recording.
+        out.flush()?;
         let version = machine.about.get(PROGRAM).map_or("", String::as_str);
         let wire = log.map(|log| Wire::begin(&mut out, log, version)).transpose()?;
         let none = BTreeMap::new();
@@ -159,6 +162,11 @@ impl<W: Write> Writer<W> {
     /// How much of it a failure from here on leaves in the file.
     pub fn flushed(&self) -> Written {
         self.flushed
+    }
+
+    /// About how many bytes the end of the file has.
+    pub fn summary(&self) -> u64 {
+        self.out.summary()
     }
 
     /// The first cycle that the log of the loop has not, since there was no room for it.
