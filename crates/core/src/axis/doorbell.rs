@@ -97,7 +97,7 @@ impl Bells {
         std::mem::take(&mut self.any_rung)
     }
 
-    /// None has rung that was not silenced.
+    /// No bell has rung that was not silenced.
     #[inline]
     pub fn are_silent(&self) -> bool {
         self.rung.iter().all(|bits| *bits == 0)

@@ -231,7 +231,7 @@ pub fn short(ns: u64) -> u32 {
 /// A measured time in a record, at least 1 ns.
 #[inline]
 pub fn measured(ns: u64) -> Option<NonZeroU32> {
-    // Mostly it is none of the two ends.
+    // Usually the time fits, and is not 0.
     match u32::try_from(ns) {
         Ok(ns @ 1..) => NonZeroU32::new(ns),
         Ok(_) => Some(NonZeroU32::MIN),

@@ -200,7 +200,7 @@ pub(super) struct Watch {
     held_for: u8,
     /// The last report is new since the limits were looked at.
     fresh: bool,
-    /// Something has commanded the axis since a report was looked at of which nothing did.
+    /// Something has commanded the axis since [`moves`](Self::moves) was called last.
     commanded: bool,
     /// Those that were too far from their demand.
     strayed: InARow,

@@ -73,7 +73,7 @@ impl DriveController {
     }
 
     /// The usual end of a cycle: the drive is online and has missed nothing, its exchange was answered, and its report
-    /// says what the one before has said, but for its values. `None`: it is another one, and nothing is changed yet.
+    /// says what the one before said, but for its values. `None`: it is another end, and nothing has changed yet.
     #[inline(always)] // As `sent`.
     pub(super) fn judge_usual(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) -> Option<Reply> {
         let (sent_at, reply) = match slot.exchange {
