@@ -12,7 +12,8 @@ use super::{Stop, print, show};
 /// Arguments of `blackbox`.
 #[derive(Debug, Args)]
 pub struct BlackBox {
-    /// A file that the master wrote at a fault, a lost drive, another stop, or SIGUSR1.
+    /// A file that the master wrote at a fault, a lost drive, another stop, or SIGUSR1; or any recording, of which its
+    /// end is told.
     #[arg(required_unless_present = "list", conflicts_with = "list")]
     file: Option<PathBuf>,
     /// List the files of the directory to which the master writes them, the newest first.
@@ -33,7 +34,10 @@ impl BlackBox {
     /// Prints it.
     pub fn run(self) -> Result<(), Stop> {
         let Some(path) = &self.file else { return self.list() };
-        let (header, records) = file::load(path).map_err(Stop::usage)?;
+        let (header, records) = file::load(path).map_err(|wrong| {
+            let remedy = if wrong.is_all() { "" } else { "; copy it again from where it was written" };
+            Stop::usage(format!("{}: {wrong}{remedy}", path.display()))
+        })?;
         if self.json {
             let happened = events::events(&header, &records);
             let drives = events::courses(&header, &records, &happened, self.cycles);

@@ -95,9 +95,9 @@ enum Command {
     Scope(scope::Command),
     #[command(flatten)]
     Added(tools::Added),
-    /// What led up to a failure, from the file that the master's black box wrote.
+    /// What led up to a failure, from the file that the master's black box wrote, or to the end of a recording.
     Blackbox(blackbox::BlackBox),
-    /// A recording, or a file of the black box, as tables, as a trace of the cycles, as a capture, or as a recording.
+    /// A recording, or a file of the black box, as tables or as a capture.
     Export(export::Export),
     /// A capture of the wires in words, telegram by telegram, whoever made it.
     Decode(decode::Decode),

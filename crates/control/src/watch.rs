@@ -2,8 +2,10 @@
 //!
 //! The question `watch` is answered with what the records are of. The question `records` after it begins a stream, one
 //! way and up to the end of either side: frames of a kind, a length in four bytes, and so many bytes. The records have
-//! the bytes of a black box. Whoever reads too slowly loses records, and gets their number; the telemetry thread waits
+//! the bytes of `record`. Whoever reads too slowly loses records, and gets their number; the telemetry thread waits
 //! for nobody.
+
+mod record;
 
 use std::io::{self, Read};
 use std::os::unix::net::UnixStream;
@@ -15,6 +17,7 @@ use std::time::{Duration, Instant, SystemTime};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
+use self::record::{RECORD, get, put};
 use super::protocol::{Exchange, LOOK_EVERY};
 use super::server::{PATIENCE_OF_STREAM, Sender};
 use super::{AskError, Conversation};
@@ -24,7 +27,6 @@ use fieldbeat_core::rt::MonotonicClock;
 use fieldbeat_core::rt::thread::helper_thread;
 use fieldbeat_core::time::nanos;
 use fieldbeat_record::blackbox::file::Header;
-use fieldbeat_record::blackbox::file::record::{RECORD, get, put};
 use fieldbeat_record::blackbox::{fault_codes, header};
 use fieldbeat_record::summary::Found;
 use fieldbeat_telemetry::Monitor;

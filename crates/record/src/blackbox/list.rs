@@ -4,11 +4,10 @@ use std::fmt;
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
-use std::time::UNIX_EPOCH;
 
 use serde::Serialize;
 
-use super::file::load_header;
+use super::file::{changed, load_header};
 use crate::summary::plural;
 use crate::table::{Cell, Table};
 
@@ -49,8 +48,8 @@ impl Listing {
             Err(error) => return Err(error),
         };
         let paths = entries.into_iter().map(|entry| entry.path());
-        let ours = paths.filter(|path| path.extension().is_some_and(|ending| ending == "blackbox"));
-        // One that has been removed meanwhile makes room for a newer one.
+        let ours = paths.filter(|path| path.extension().is_some_and(|ending| ending == "mcap"));
+        // One that has been removed meanwhile makes room for a newer one; a recording of a run is no black box.
         let mut files: Vec<Entry> = ours.filter_map(|path| Entry::of(&path)).collect();
         files.sort_by(|a, b| (&b.written, &b.file).cmp(&(&a.written, &a.file)));
         Ok(Listing { directory: directory.to_owned(), files })
@@ -60,26 +59,26 @@ impl Listing {
 impl Entry {
     fn of(path: &Path) -> Option<Entry> {
         let facts = fs::metadata(path).ok()?;
-        let changed = facts.modified().unwrap_or(UNIX_EPOCH);
         let entry = Entry {
             file: path.file_name()?.to_string_lossy().into_owned(),
-            written: humantime::format_rfc3339_seconds(changed).to_string(),
+            written: changed(&facts),
             bytes: facts.len(),
             machine: None,
             why: None,
             cycle: None,
             error: None,
         };
-        Some(match load_header(path) {
-            Ok(header) => Entry {
+        match load_header(path) {
+            Ok(header) if header.why.is_empty() => None,
+            Ok(header) => Some(Entry {
                 written: header.written,
                 machine: header.machine,
                 why: Some(header.why),
                 cycle: Some(header.cycle),
                 ..entry
-            },
-            Err(error) => Entry { error: Some(error.why.to_string()), ..entry },
-        })
+            }),
+            Err(error) => Some(Entry { error: Some(error.to_string()), ..entry }),
+        }
     }
 }
 
@@ -110,34 +109,39 @@ impl fmt::Display for Listing {
 
 #[cfg(test)]
 mod tests {
-    use super::super::file::{Header, encode};
     use super::*;
+    use crate::recording::machine::{CYCLE, Machine, WHY, WRITTEN, of_cycle};
+    use crate::recording::newest::encode;
+
+    /// The file of a machine of which more is said.
+    fn file(more: &[(&str, &str)]) -> Vec<u8> {
+        let mut machine = Machine { about: of_cycle("9", 1, 1, 1), ..Machine::default() };
+        machine.about.extend(more.iter().map(|(key, value)| ((*key).to_owned(), (*value).to_owned())));
+        encode(machine, 0, std::iter::empty(), std::iter::empty(), 0).unwrap().bytes
+    }
 
     #[test]
     fn the_newest_file_comes_first_and_a_damaged_one_is_named() {
         let directory = tempfile::tempdir().unwrap();
         let save = |name: &str, bytes: &[u8]| fs::write(directory.path().join(name), bytes).unwrap();
-        for (written, cycle) in [("2001-01-02T03:04:05Z", 7), ("2002-01-03T00:00:00Z", 90)] {
-            let header = Header {
-                why: "drive x: \x1b[2Jlink lost".into(),
-                machine: (cycle == 7).then(|| "m.toml".into()),
-                written: written.into(),
-                cycle,
-                ..Header::default()
-            };
-            save(&format!("{cycle}.blackbox"), &encode(&header, [].iter()));
-        }
+        let why = (WHY, "drive x: \x1b[2Jlink lost");
+        let older = file(&[why, (CYCLE, "7"), (WRITTEN, "2001-01-02T03:04:05Z"), ("machine", "m.toml")]);
+        save("7.mcap", &older);
+        save("90.mcap", &file(&[why, (CYCLE, "90"), (WRITTEN, "2002-01-03T00:00:00Z")]));
         // By its own time, which is of today.
-        save("cut.blackbox", &encode(&Header::default(), [].iter())[..50]);
+        save("cut.mcap", &older[..older.len() - 1]);
+        // Neither of them is a black box.
+        save("run.mcap", &file(&[]));
         save("notes.txt", b"mine");
         let listing = Listing::of(directory.path()).unwrap();
         let text = listing.to_string();
         let lines: Vec<&str> = text.lines().collect();
         assert!(lines[0].ends_with(": 3 black-box files"), "{text}");
         let [damaged, newer, older] = lines[2..] else { panic!("{text}") };
-        assert!(damaged.contains("cut.blackbox") && damaged.ends_with("cannot be read: its end is missing"));
-        assert!(newer.starts_with("2002-01-03T00:00:00Z   1  90.blackbox   -        drive x"), "{text}");
-        assert!(older.ends_with("7.blackbox    m.toml   drive x: [2Jlink lost (cycle 7)"), "{text}");
+        let cut = "cannot be read: its end is missing, as of a program that was killed";
+        assert!(damaged.contains("cut.mcap") && damaged.ends_with(cut), "{text}");
+        assert!(newer.starts_with("2002-01-03T00:00:00Z   4  90.mcap   -        drive x"), "{text}");
+        assert!(older.ends_with("7.mcap    m.toml   drive x: [2Jlink lost (cycle 7)"), "{text}");
         assert_eq!(Listing::of(&directory.path().join("none")).unwrap().files, []);
     }
 }

@@ -1,7 +1,9 @@
+use super::file::Channel;
 use super::*;
-use fieldbeat_core::axis::{Link, StopCause};
+use fieldbeat_core::axis::{EventKind, Link, StopCause};
 use fieldbeat_core::cycle::CyclePlan;
-use fieldbeat_core::cycle::record::{CycleRecord, MonitorRecord};
+use fieldbeat_core::cycle::record::{CycleRecord, EventRecord, MonitorRecord};
+use fieldbeat_core::time::MS;
 use fieldbeat_linudp::upid::Upid;
 use fieldbeat_linudp::{LinUdpDrive, LinUdpPlan, MonitorPlan};
 
@@ -34,7 +36,11 @@ fn a_failure_is_written_once_with_its_aftermath() {
             (drive.fault, drive.stopped) = (0x0B, Some(StopCause::DriveFault));
         }
     };
+    let event = EventRecord::new(500, 1, EventKind::Fault(0x0B), None);
     for index in 500..550 {
+        if index == 501 {
+            black_box.enter(&Record::Event(event));
+        }
         cycle(&mut black_box, index, fail);
         assert_eq!(black_box.write(false), []);
     }
@@ -49,7 +55,7 @@ fn a_failure_is_written_once_with_its_aftermath() {
     let lag = [(0x0B, "position lag".to_owned())];
     assert_eq!((header.axes[0].faults.len(), &header.axes[1].faults), (0, &lag.into()));
     assert!(events::text(&header, &records, 3).contains("fault none -> 0x000b (11, position lag)"));
-    assert_eq!(records.len(), 300, "100 cycles of 2 drives and a cycle record each");
+    assert_eq!(records.len(), 297, "99 cycles of 2 drives and a cycle record each, besides an event");
     let after = records.iter().filter(|record| matches!(record, Record::Cycle(c) if c.index >= 500));
     assert_eq!(after.count(), 51);
 }
@@ -64,7 +70,8 @@ fn what_a_drive_shows_besides_comes_back_from_the_file() {
     let mut black_box = BlackBox::new(&plan, directory.path()).unwrap();
     for index in 0..300 {
         for axis in 0..3 {
-            black_box.enter(&Record::Drive(DriveRecord { index, axis, ..DriveRecord::default() }));
+            let drive = DriveRecord { index, axis, link: Link::Online, ..DriveRecord::default() };
+            black_box.enter(&Record::Drive(drive));
             if axis == 0 && index % 2 == 0 {
                 let shown = [None, Some(40.5), Some(index as f64 - 250.0), None].into();
                 black_box.enter(&Record::Monitor(MonitorRecord { index, axis, shown }));
@@ -76,11 +83,11 @@ fn what_a_drive_shows_besides_comes_back_from_the_file() {
     let [written] = &black_box.write(true)[..] else { panic!() };
     let (header, records) = file::load(&written.path).unwrap();
     let channel = |name: &str, unit: &str| Some(Channel { name: name.into(), unit: unit.into() });
-    let monitor = [None, channel("core-temperature", "C"), channel("demand-velocity", "mm/s"), None];
+    let monitor = [channel("core-temperature", "C"), channel("demand-velocity", "mm/s"), None, None];
     assert_eq!((header.axes[0].name.as_str(), &header.axes[0].monitor), ("z", &monitor));
     assert!(header.axes[1..].iter().all(|axis| axis.monitor.iter().all(Option::is_none)));
-    // Room for one more record a cycle than it needs in every second one.
-    assert_eq!(records.len(), 500);
+    // Room for one more record a cycle than it needs in every second one, for whole cycles.
+    assert_eq!((records.len(), records[0].index()), (499, 189));
 
     let courses = events::courses(&header, &records, &[], 3);
     assert_eq!(courses.iter().map(|course| course.monitor.len()).collect::<Vec<_>>(), [2, 0, 0]);
@@ -148,7 +155,7 @@ fn a_writer_that_hangs_or_panics_holds_up_no_end_and_is_a_failure() {
     let written = |number| Written {
         why: "requested".into(),
         cycle: 1,
-        path: "/frozen/a.blackbox".into(),
+        path: "/frozen/a.mcap".into(),
         error: None,
         number,
         replaced: None,
@@ -162,7 +169,7 @@ fn a_writer_that_hangs_or_panics_holds_up_no_end_and_is_a_failure() {
     ];
     let [frozen, panicked] = &black_box.write(true)[..] else { panic!() };
     assert!(frozen.fails_run && panicked.fails_run);
-    let line = "black box not written: /frozen/a.blackbox: its disk does not answer for 0.02 s (requested, \
+    let line = "black box not written: /frozen/a.mcap: its disk does not answer for 0.02 s (requested, \
          cycle 1)";
     assert_eq!(frozen.to_string(), line);
     assert!(panicked.to_string().contains("its writer panicked"), "{panicked}");

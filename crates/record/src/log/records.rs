@@ -153,7 +153,8 @@ impl Place {
                     return Err(Unsound::Count(self.messages, message_count));
                 }
             }
-            (Part::Behind, _) | (Part::Data, op::FOOTER) => return Err(Unsound::Order),
+            // No record begins with 0: a hole in a file is not read to its end.
+            (Part::Behind, _) | (Part::Data, op::FOOTER) | (_, 0) => return Err(Unsound::Order),
             (Part::Summary, op::HEADER | op::MESSAGE | op::MESSAGE_INDEX | op::ATTACHMENT)
             | (Part::Summary, op::METADATA | op::DATA_END) => return Err(Unsound::Order),
             _ => {}

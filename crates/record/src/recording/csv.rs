@@ -172,8 +172,7 @@ fn heading(topic: &Topic, before: &str, field: &str) -> String {
         "current" => about("unit_current"),
         // That of a monitored variable stands under its own name.
         _ if topic.name.ends_with("/monitors") => {
-            let same = |name: &&String| super::schema::identifier(name) == field;
-            topic.about.keys().find(same).and_then(|name| about(name))
+            topic.monitored(field).map(|(_, unit)| unit.as_str()).filter(|unit| !unit.is_empty())
         }
         _ => None,
     };

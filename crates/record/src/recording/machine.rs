@@ -17,6 +17,15 @@ pub const END: &str = "fieldbeat end";
 /// The key of the version of the program.
 pub const PROGRAM: &str = "program";
 
+/// The key of why a file was written.
+pub const WHY: &str = "why";
+
+/// The key of the cycle in which that was.
+pub const CYCLE: &str = "cycle";
+
+/// The key of the date at which a black box was written.
+pub const WRITTEN: &str = "written";
+
 /// The version of what the messages mean. Fields may be added without a new one.
 pub const FORMAT: &str = "1";
 
@@ -45,32 +54,7 @@ pub struct AxisAbout {
     /// What is known of its native process data, if they are recorded.
     pub native: Option<NativeLayout>,
     /// Names of the codes of its drive.
-    pub faults: Faults,
-}
-
-/// Names of the codes of a drive.
-#[derive(Clone, Debug)]
-pub enum Faults {
-    /// All that its protocol knows.
-    Known(FaultNames),
-    /// Those that a file brings.
-    Listed(BTreeMap<u32, String>),
-}
-
-impl Default for Faults {
-    fn default() -> Faults {
-        Faults::Listed(BTreeMap::new())
-    }
-}
-
-impl Faults {
-    /// The name of a code.
-    pub fn name(&self, code: u32) -> Option<String> {
-        match self {
-            Faults::Known(names) => names(code).map(str::to_owned),
-            Faults::Listed(names) => names.get(&code).cloned(),
-        }
-    }
+    pub faults: Option<FaultNames>,
 }
 
 impl Machine {
@@ -92,11 +76,11 @@ impl Machine {
         let axes = plan.axes().into_iter().zip(of_drives(&facts));
         let axes = axes.map(|(axis, (bus, drive))| AxisAbout {
             name: axis.name.clone(),
-            about: of_axis(&axis.units.unit.to_string(), Some(bus.protocol)),
+            about: of_axis(&axis.units.unit.to_string(), bus.protocol),
             modulo: axis.units.modulo,
             monitor: drive.monitored.clone().map(|channel| channel.map(|of| (of.name, of.unit.to_owned()))),
             native: None,
-            faults: Faults::Known(bus.fault_names),
+            faults: Some(bus.fault_names),
         });
         let mut axes: Vec<AxisAbout> = axes.collect();
         for (axis, layout) in plan.native_layouts().into_iter().flatten() {
@@ -120,9 +104,13 @@ pub fn of_cycle(program: &str, period_ns: u64, deadline_ns: u64, late_ns: u64) -
 }
 
 /// What the channel of an axis says of it.
-pub fn of_axis(unit: &str, protocol: Option<&str>) -> BTreeMap<String, String> {
-    let units =
-        [("unit", unit.to_owned()), ("unit_velocity", format!("{unit}/s")), ("unit_current", "A".to_owned())];
-    let units = units.into_iter().chain(protocol.map(|protocol| ("protocol", protocol.to_owned())));
-    units.map(|(key, value)| (key.to_owned(), value)).collect()
+pub fn of_axis(unit: &str, protocol: &str) -> BTreeMap<String, String> {
+    [
+        ("unit", unit.to_owned()),
+        ("unit_velocity", format!("{unit}/s")),
+        ("unit_current", "A".to_owned()),
+        ("protocol", protocol.to_owned()),
+    ]
+    .map(|(key, value)| (key.to_owned(), value))
+    .into()
 }

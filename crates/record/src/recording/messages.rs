@@ -196,6 +196,8 @@ pub struct EventText {
     id: u64,
     command: &'static str,
     outcome: &'static str,
+    code_name: String,
+    register: u32,
 }
 
 impl EventText {
@@ -207,6 +209,7 @@ impl EventText {
         begun_by: (Option<BegunBy>, Option<&str>),
         name_of: impl Fn(u32) -> Option<String>,
     ) -> EventText {
+        let code_name = kind.fault().and_then(&name_of).unwrap_or_default();
         let (name, text, code) = kind.entry(name_of);
         let text = BegunBy::after(text, begun_by.0, begun_by.1);
         let (id, command, outcome) = match *kind {
@@ -220,8 +223,9 @@ impl EventText {
             }
             _ => (0, "", ""),
         };
-        let axis_name = axis_name.to_owned();
-        EventText { axis: axis.into(), axis_name, kind: name, text, code, id, command, outcome }
+        let register = if let EventKind::Emergency(one) = kind { one.register.into() } else { 0 };
+        let (axis, axis_name) = (axis.into(), axis_name.to_owned());
+        EventText { axis, axis_name, kind: name, text, code, id, command, outcome, code_name, register }
     }
 }
 
@@ -238,6 +242,8 @@ pub fn events() -> Table<At<EventText>> {
             ("id".into(), Get::U64(|at| at.of.id)),
             ("command".into(), Get::Text(|at| at.of.command)),
             ("outcome".into(), Get::Text(|at| at.of.outcome)),
+            ("code_name".into(), Get::Text(|at| &at.of.code_name)),
+            ("register".into(), Get::U32(|at| at.of.register)),
         ],
     )
 }

@@ -5,6 +5,7 @@
 //! |---|---|
 //! | `recorder` | what is recorded, and where to |
 //! | `whole` | the whole run |
+//! | `newest` | what is newest, and when it is to be written: of a window, and of the black box |
 //! | `window` | what is newest, written when something fails |
 //! | `machine` | what a file says of its machine |
 //! | `messages` | the fields of each topic |
@@ -14,20 +15,18 @@
 //! | `container`, `lz4` | the file, and its compression |
 //! | `wire` | the log of the loop in it, for a replay |
 //! | `reading` | a file, whichever version wrote it |
-//! | `blackbox` | a file of the black box as a recording |
-//! | `csv`, `perfetto` | the same for spreadsheets, and for viewers of traces |
+//! | `csv` | the same for spreadsheets |
 //!
 //! A normal thread of its own writes it, fed like every other reader of the loop's records: the loop pays nothing for
 //! it. A disk that is too slow, or full, costs records, which are counted, and makes the run a failure.
 
-pub mod blackbox;
 mod container;
 pub mod csv;
 pub(crate) mod lz4;
 pub mod machine;
 mod messages;
 mod native;
-pub mod perfetto;
+pub(crate) mod newest;
 pub mod reading;
 mod recorder;
 mod schema;

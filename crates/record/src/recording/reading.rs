@@ -3,7 +3,7 @@
 
 use std::collections::{BTreeMap, HashMap};
 use std::fs::{File, OpenOptions};
-use std::io::{self, BufReader, Cursor, Read, Seek};
+use std::io::{self, BufReader, Cursor, Read, Seek, SeekFrom};
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::Path;
 use std::rc::Rc;
@@ -17,9 +17,12 @@ use prost_reflect::{
 use thiserror::Error;
 
 use super::machine::{FORMAT, MACHINE};
-use super::schema::PACKAGE;
+use super::schema::{PACKAGE, identifier};
 use crate::log::layout::TOPIC;
 use crate::log::records::{Records, Unsound};
+
+/// What a file says of its machine has no more bytes: the most of it is the text of the configuration.
+const MOST_ABOUT: u64 = 16 << 20;
 
 /// A recording that is read once, from its begin to its end.
 pub struct Reading {
@@ -71,20 +74,20 @@ pub enum Wrong {
     #[error("{0}; name a recording that this user may read (*.mcap)")]
     Io(#[from] io::Error),
     /// No MCAP, or of somebody else.
-    #[error("not a recording of fieldbeat; name one (*.mcap), or a file of its black box (*.blackbox)")]
+    #[error("not a recording of fieldbeat; name one (*.mcap)")]
     Foreign,
     /// Its end is missing: the program was killed, or its disk was full.
-    #[error("its end is missing, as of a program that was killed: what is there was exported")]
+    #[error("its end is missing, as of a program that was killed")]
     Cut,
     /// Changed.
-    #[error("it is damaged ({0}): what is before that was exported")]
+    #[error("it is damaged ({0})")]
     Damaged(String),
     /// The same, but nobody knows where: its end says so.
-    #[error("it is damaged ({0}): what can be read was exported")]
+    #[error("it is damaged ({0})")]
     Somewhere(String),
     /// Its messages may mean something else: the version of the program that wrote it, and that of its format.
     #[error(
-        "it was recorded by version {0} (format {1}): export it with that one, this is {this}",
+        "it was recorded by version {0} (format {1}): read it with that one, this is {this}",
         this = env!("CARGO_PKG_VERSION")
     )]
     Format(String, String),
@@ -98,6 +101,17 @@ impl Wrong {
     /// Nothing of it could be read.
     pub fn is_all(&self) -> bool {
         matches!(self, Wrong::Io(_) | Wrong::Foreign | Wrong::Format(..) | Wrong::Compressed(_))
+    }
+
+    /// In words, with how much of the recording was exported.
+    pub fn exported(&self) -> String {
+        let what = match self {
+            Wrong::Cut => ": what is there was exported",
+            Wrong::Damaged(_) => ": what is before that was exported",
+            Wrong::Somewhere(_) => ": what can be read was exported",
+            Wrong::Io(_) | Wrong::Foreign | Wrong::Format(..) | Wrong::Compressed(_) => "",
+        };
+        format!("{self}{what}")
     }
 }
 
@@ -126,12 +140,7 @@ impl From<McapError> for Wrong {
 impl Reading {
     /// A file.
     pub fn open(path: &Path) -> Result<Reading, Wrong> {
-        // A pipe is not waited for.
-        let mut file = OpenOptions::new().read(true).custom_flags(libc::O_NONBLOCK).open(path)?;
-        if !file.metadata()?.is_file() || !begins(&mut file)? {
-            return Err(Wrong::Foreign);
-        }
-        Ok(Reading::new(Box::new(BufReader::with_capacity(1 << 20, file))))
+        Ok(Reading::new(Box::new(BufReader::with_capacity(1 << 20, open(path)?))))
     }
 
     /// The bytes of a file.
@@ -200,12 +209,45 @@ fn require_format(about: &BTreeMap<String, String>) -> Result<(), Wrong> {
     }
 }
 
-/// Whether a file begins like one; it is at its begin afterwards.
-fn begins(file: &mut File) -> Result<bool, Wrong> {
-    let mut begin = [0; MAGIC.len()];
-    file.read_exact(&mut begin).map_err(|_| Wrong::Foreign)?;
+/// Opens a file that begins like one.
+fn open(path: &Path) -> Result<File, Wrong> {
+    // A pipe is not waited for.
+    let mut file = OpenOptions::new().read(true).custom_flags(libc::O_NONBLOCK).open(path)?;
+    if !file.metadata()?.is_file() || !has_magic(&mut file)? {
+        return Err(Wrong::Foreign);
+    }
+    Ok(file)
+}
+
+/// Whether what a file begins and ends with is there; it is at its begin afterwards.
+fn has_magic(file: &mut File) -> Result<bool, Wrong> {
+    let mut magic = [0; MAGIC.len()];
+    file.read_exact(&mut magic).map_err(|_| Wrong::Foreign)?;
     file.rewind()?;
-    Ok(begin == *MAGIC)
+    Ok(magic == *MAGIC)
+}
+
+/// What a file says of its machine, which stands at its begin. All else of it is not read, but that its end is there.
+pub fn about(path: &Path) -> Result<BTreeMap<String, String>, Wrong> {
+    let mut file = open(path)?;
+    file.seek(SeekFrom::End(-(MAGIC.len() as i64)))?;
+    if !has_magic(&mut file)? {
+        return Err(Wrong::Cut);
+    }
+    let found = Records::new(file.take(MOST_ABOUT)).find(|record| match record {
+        Record::Metadata(of) if of.name == MACHINE => {
+            require_format(&of.metadata)?;
+            Ok(Some(of.metadata))
+        }
+        Record::Message { .. } => Err(Wrong::Foreign),
+        _ => Ok(None),
+    });
+    match found {
+        // Its end is there.
+        Ok(None) | Err(Wrong::Cut) => Err(Wrong::Foreign),
+        Ok(Some(about)) => Ok(about),
+        Err(wrong) => Err(wrong),
+    }
 }
 
 /// Messages of others in the same file are passed over, and so is the log of the loop.
@@ -229,6 +271,11 @@ impl Topic {
     /// The names of its fields, in their order.
     pub fn fields(&self) -> impl Iterator<Item = String> {
         self.descriptor.fields().map(|field| field.name().to_owned())
+    }
+
+    /// The name and the unit of the monitored variable in a field.
+    pub fn monitored(&self, field: &str) -> Option<(&String, &String)> {
+        self.about.iter().find(|(name, _)| identifier(name) == field)
     }
 }
 
@@ -255,12 +302,30 @@ impl Entry {
         }
     }
 
-    /// A whole number; 0 if there is none.
+    /// A whole number; 0 if there is none. Yes is 1.
     pub fn number(&self, field: &str) -> u64 {
         match self.message.get_field_by_name(field).as_deref() {
             Some(Value::U64(number)) => *number,
             Some(Value::U32(number)) => u64::from(*number),
+            Some(Value::Bool(yes)) => u64::from(*yes),
             _ => 0,
+        }
+    }
+
+    /// One that may be negative.
+    pub fn signed(&self, field: &str) -> i64 {
+        match self.message.get_field_by_name(field).as_deref() {
+            Some(Value::I64(number)) => *number,
+            _ => 0,
+        }
+    }
+
+    /// A measured value; not a number if there is none.
+    pub fn float(&self, field: &str) -> f64 {
+        match self.message.get_field_by_name(field).as_deref() {
+            Some(Value::F64(value)) => *value,
+            Some(Value::F32(value)) => f64::from(*value),
+            _ => f64::NAN,
         }
     }
 }

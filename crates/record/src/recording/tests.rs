@@ -10,7 +10,6 @@ use tempfile::{NamedTempFile, TempPath};
 
 use super::csv::{PerTopic, Wide};
 use super::machine::{AxisAbout, Machine, of_axis, of_cycle};
-use super::perfetto::Trace;
 use super::reading::{Reading, Wrong};
 use super::whole::Whole;
 use super::window::Window;
@@ -34,7 +33,7 @@ const BEGIN: Time = Time(5 * S);
 
 fn machine() -> Machine {
     let axis =
-        |name: &str| AxisAbout { name: name.into(), about: of_axis("mm", None), ..AxisAbout::default() };
+        |name: &str| AxisAbout { name: name.into(), about: of_axis("mm", "linudp"), ..AxisAbout::default() };
     let monitor =
         [Some(("demand-current".into(), "A".into())), None, Some(("0x1E10".into(), "".into())), None];
     let axes = vec![axis("x"), AxisAbout { monitor, ..axis("y") }];
@@ -151,7 +150,7 @@ fn every_record_is_a_message_at_the_instant_of_its_cycle() {
     let [(at, ended)] = &of("/events")[..] else { panic!("{messages:?}") };
     assert_eq!((*at, &ended[2..5]), (instant(4), &["0", "x", "ended"][..]));
     assert!(ended[5].starts_with("failed: position 9 is outside its limit (0 ... 8)"), "{ended:?}");
-    assert_eq!(ended[6..], ["0", "3", "move", "failed"]);
+    assert_eq!(ended[6..], ["0", "3", "move", "failed", "", "0"]);
     let late = ["3", "5003000000", "wake", "500", "drive", "", "y"];
     assert_eq!(of("/late"), [(instant(3), late.to_vec())]);
     let stages = ["10", "20", "30", "40", "50", "60"];
@@ -187,7 +186,7 @@ fn a_recording_of_another_format_is_refused_and_one_of_none_is_read() {
     let (read, wrong) = of(Some("2\x1b"));
     let wrong = wrong.unwrap();
     assert!(read.is_empty() && wrong.is_all(), "{wrong}");
-    let expected = "it was recorded by version 9 (format 2\\u{1b}): export it with that one, this is ";
+    let expected = "it was recorded by version 9 (format 2\\u{1b}): read it with that one, this is ";
     assert!(wrong.to_string().starts_with(expected), "{wrong}");
     assert_eq!(of(None).0, of(Some("1")).0);
     assert!(of(None).1.is_none());
@@ -371,32 +370,6 @@ fn topics_of_axes_with_unlucky_names_have_tables_of_their_own() {
     assert_eq!(tables.finish().unwrap(), 6);
     let lines = |name: &str| std::fs::read_to_string(directory.path().join(name)).unwrap().lines().count();
     assert_eq!([lines("axes_y_monitors.csv"), lines("axes_y_monitors.2.csv")], [7, 2]);
-}
-
-#[test]
-fn a_trace_has_the_stages_one_after_the_other_and_commands_as_spans() {
-    let mut trace = Trace::new(Vec::new()).unwrap();
-    for entry in Reading::of(written(&records(6))) {
-        trace.enter(&entry.unwrap()).unwrap();
-    }
-    let (count, bytes) = trace.finish(0).unwrap();
-    let json: serde_json::Value = serde_json::from_slice(&bytes).unwrap();
-    let events = json["traceEvents"].as_array().unwrap();
-    assert_eq!(events.len() as u64, count);
-    let named = |name: &str| events.iter().find(|event| event["name"] == name).unwrap();
-    // Cycle 0 begins 7 ns after its grid point; in microseconds.
-    let spans = ["send", "receive", "evaluate"]
-        .map(|stage| (named(stage)["ts"].as_f64(), named(stage)["dur"].as_f64()));
-    let expected = [(0.007, 0.01), (0.017, 0.02), (0.037, 0.03)].map(|(ts, dur)| (Some(ts), Some(dur)));
-    assert_eq!(spans, expected);
-    let command = named("move");
-    assert_eq!(
-        (&command["ph"], &command["ts"], &command["dur"]),
-        (&"X".into(), &2000.0.into(), &2000.0.into())
-    );
-    assert_eq!(command["args"]["target"], "-4");
-    let late = named("drive");
-    assert_eq!((&late["ph"], &late["args"]["drive"]), (&"X".into(), &"y".into()));
 }
 
 #[test]

@@ -4,19 +4,15 @@ use std::collections::VecDeque;
 use std::path::PathBuf;
 
 use super::machine::Machine;
-use super::writer::Writer;
+use super::newest::{AFTERMATH_NS, Due, Encoded, Newest, encode};
 use crate::failures::Failures;
 use crate::file::save;
 use fieldbeat_core::cycle::record::Record;
-use fieldbeat_core::time::MS;
 use fieldbeat_telemetry::causes::Judged;
 use fieldbeat_telemetry::sink::{Recorded, Sink};
 
 /// It is written for so many failures; then only on request and at the end.
 const MOST_FAILURES: usize = 8;
-
-/// So much of what follows upon a failure is in its file: how the stop went.
-const AFTERMATH_NS: u64 = 200 * MS;
 
 /// About the size of a message in a file.
 const BYTES_OF_MESSAGE: u64 = 100;
@@ -25,17 +21,11 @@ const BYTES_OF_MESSAGE: u64 = 100;
 #[derive(Debug)]
 pub struct Window {
     path: PathBuf,
-    machine: Machine,
-    failures: Failures,
+    newest: Newest,
     /// Its length.
     cycles: u64,
-    records: VecDeque<Record>,
     judged: VecDeque<Judged>,
     utc_ns: i64,
-    /// The newest cycle.
-    newest: u64,
-    /// Why and in which cycle it is to be written, and once which cycle has come.
-    due: Option<(String, u64, u64)>,
     files_of_failures: usize,
     /// Records lost so far, and how many of them were lost since which cycle, as far as they would be in it.
     lost: u64,
@@ -48,18 +38,14 @@ pub struct Window {
 impl Window {
     /// The newest `cycles` of `machine`, and as many as follow upon a failure, written to `path` at the end.
     pub fn new(path: PathBuf, machine: Machine, failures: Failures, cycles: u64) -> Window {
-        // A file of a failure is written after it, and has what led up to it all the same.
-        let cycles = cycles.saturating_add(AFTERMATH_NS / machine.period_ns.max(1));
+        let aftermath = AFTERMATH_NS / machine.period_ns.max(1);
         Window {
             path,
-            machine,
-            failures,
-            cycles,
-            records: VecDeque::new(),
+            newest: Newest::new(machine, failures, aftermath),
+            // A file of a failure is written after it, and has what led up to it all the same.
+            cycles: cycles.saturating_add(aftermath),
             judged: VecDeque::new(),
             utc_ns: 0,
-            newest: 0,
-            due: None,
             files_of_failures: 0,
             lost: 0,
             gaps: VecDeque::new(),
@@ -68,37 +54,31 @@ impl Window {
         }
     }
 
-    /// The file of a cycle, next to that of the end.
-    fn path_of(&self, cycle: u64) -> PathBuf {
-        let stem = self.path.file_stem().unwrap_or_default().to_string_lossy();
-        self.path.with_file_name(format!("{stem}-cycle-{cycle}.mcap"))
-    }
-
-    fn write(&mut self, path: PathBuf, why: String) {
-        let lost = self.gaps.iter().map(|(_, lost)| lost).sum();
-        let mut recorded = Recorded::begin(path, why);
-        recorded.lost = lost;
-        let bytes = Writer::new(Vec::new(), self.machine.clone(), self.utc_ns).and_then(|mut writer| {
-            self.records.iter().try_for_each(|record| writer.enter(record))?;
-            self.judged.iter().try_for_each(|judged| writer.late(judged))?;
-            recorded.messages = writer.written().messages;
-            recorded.lost += writer.dropped();
-            writer.finish(recorded.lost)
+    fn write(&mut self, path: PathBuf, due: &Due) {
+        let mut recorded = Recorded::begin(path, due.why.clone());
+        recorded.lost = self.gaps.iter().map(|(_, lost)| lost).sum();
+        let (machine, records) = (self.newest.machine(due), self.newest.records.iter());
+        let encoded = encode(machine, self.utc_ns, records, self.judged.iter(), recorded.lost);
+        let written = encoded.and_then(|Encoded { bytes, messages, lost }| {
+            (recorded.messages, recorded.lost) = (messages, lost);
+            save(&recorded.path, &bytes)?;
+            recorded.bytes = bytes.len() as u64;
+            Ok(())
         });
-        match bytes.and_then(|bytes| save(&recorded.path, &bytes).map(|()| bytes.len())) {
-            Ok(bytes) => recorded.bytes = bytes as u64,
-            Err(error) => {
-                recorded.error = Some(format!("{error}; free that disk, or name a file on another one"));
-                self.failure = recorded.failure();
-            }
+        if let Err(error) = written {
+            recorded.error = Some(format!("{error}; free that disk, or name a file on another one"));
+            self.failure = recorded.failure();
         }
         self.written.push(recorded);
     }
 
-    fn write_if_due(&mut self) {
-        let Some((why, cycle, _)) = self.due.take_if(|(.., from)| self.newest >= *from) else { return };
-        let path = self.path_of(cycle);
-        self.write(path, why);
+    /// Writes what is due by now, or what is due at all, next to the file of the end.
+    fn write_due(&mut self, last: bool) {
+        let Some(due) = self.newest.take_due(last) else { return };
+        self.files_of_failures += usize::from(due.failed);
+        let stem = self.path.file_stem().unwrap_or_default().to_string_lossy();
+        let path = self.path.with_file_name(due.file_name(&stem));
+        self.write(path, &due);
     }
 }
 
@@ -108,21 +88,11 @@ impl Sink for Window {
     }
 
     fn enter(&mut self, record: &Record) {
-        if let Record::Drive(drive) = record
-            && let Some(why) = self.failures.see(drive)
-            && self.due.is_none()
-            && self.files_of_failures < MOST_FAILURES
-        {
-            self.files_of_failures += 1;
-            let aftermath = AFTERMATH_NS / self.machine.period_ns.max(1);
-            self.due = Some((why, drive.index, drive.index + aftermath));
-        }
-        self.records.push_back(*record);
+        self.newest.enter(record, (self.files_of_failures < MOST_FAILURES).then_some(0));
         if matches!(record, Record::Cycle(_) | Record::Skipped(_)) {
-            self.newest = record.index();
-            let oldest = self.newest.saturating_sub(self.cycles);
-            while self.records.front().is_some_and(|record| record.index() < oldest) {
-                self.records.pop_front();
+            let oldest = self.newest.cycle.saturating_sub(self.cycles);
+            while self.newest.records.front().is_some_and(|record| record.index() < oldest) {
+                self.newest.records.pop_front();
             }
             while self.judged.front().is_some_and(|judged| judged.index < oldest) {
                 self.judged.pop_front();
@@ -130,7 +100,7 @@ impl Sink for Window {
             while self.gaps.front().is_some_and(|(cycle, _)| *cycle < oldest) {
                 self.gaps.pop_front();
             }
-            self.write_if_due();
+            self.write_due(false);
         }
     }
 
@@ -139,13 +109,13 @@ impl Sink for Window {
     }
 
     fn request(&mut self) {
-        self.due.get_or_insert(("requested".to_owned(), self.newest, self.newest));
-        self.write_if_due();
+        self.newest.request(0);
+        self.write_due(false);
     }
 
     fn look(&mut self, lost: u64) -> Option<String> {
         if let more @ 1.. = lost.saturating_sub(self.lost) {
-            self.gaps.push_back((self.newest, more));
+            self.gaps.push_back((self.newest.cycle, more));
             self.lost = lost;
         }
         self.failure.take()
@@ -153,15 +123,14 @@ impl Sink for Window {
 
     /// In two files, if a failure was the last thing to happen.
     fn holds(&self) -> u64 {
-        self.records.len() as u64 * BYTES_OF_MESSAGE * if self.due.is_some() { 2 } else { 1 }
+        self.newest.records.len() as u64 * BYTES_OF_MESSAGE * if self.newest.has_due() { 2 } else { 1 }
     }
 
     fn finish(&mut self) -> Vec<Recorded> {
-        if let Some((why, cycle, _)) = self.due.take() {
-            let path = self.path_of(cycle);
-            self.write(path, why);
-        }
-        self.write(self.path.clone(), "end of the run".to_owned());
+        self.write_due(true);
+        let cycle = self.newest.cycle;
+        let end = Due { why: "end of the run".to_owned(), cycle, from: cycle, failed: false };
+        self.write(self.path.clone(), &end);
         std::mem::take(&mut self.written)
     }
 }

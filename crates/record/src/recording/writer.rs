@@ -295,7 +295,8 @@ impl<W: Write> Writer<W> {
         let begun_by = event.begun_by();
         let of = begun_by.and_then(|by| self.machine.axes.get(usize::from(by.axis)));
         let begun_by = (begun_by, of.map(|axis| axis.name.as_str()));
-        Some(EventText::new(event.axis, &axis.name, &event.kind()?, begun_by, |code| axis.faults.name(code)))
+        let name_of = |code| axis.faults.and_then(|names| names(code)).map(str::to_owned);
+        Some(EventText::new(event.axis, &axis.name, &event.kind()?, begun_by, name_of))
     }
 
     /// Ends the chunk, unless the slot that comes next belongs to it.

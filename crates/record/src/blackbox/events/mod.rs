@@ -11,7 +11,7 @@ pub use self::courses::{Course, Row, courses};
 pub use self::text::text;
 use super::file::{Axis, Header};
 use crate::summary::plural;
-use fieldbeat_core::axis::{Command, Link};
+use fieldbeat_core::axis::{Command, EventKind, Link};
 use fieldbeat_core::cycle::record::{
     CycleRecord, DriveRecord, Lateness, Record, ReferenceRecord, Reply, SkippedRecord, Stage,
 };
@@ -70,16 +70,20 @@ pub fn events(header: &Header, records: &[Record]) -> Vec<Event> {
             Record::Drive(drive) => {
                 let axis = usize::from(drive.axis);
                 let Some(known) = known.get_mut(axis) else { continue };
-                let mut news = match known.replace(*drive) {
+                let news = match known.replace(*drive) {
                     Some(known) => changes(&header.axes[axis], &known, drive),
                     None => vec![News::change(format!("{}, {}{}", drive.link, drive.state, running(drive)))],
                 };
-                let fault = |code| header.axes[axis].fault(code);
-                let emergency = drive.emergency().map(|one| one.described(fault(one.code.into())));
-                news.extend(emergency.map(News::change));
                 (drive.index, axis, news)
             }
-            Record::Monitor(_) | Record::Command(_) | Record::Event(_) | Record::Native(_) => continue,
+            Record::Event(event) => {
+                // The records of the drives have all else.
+                let Some(EventKind::Emergency(one)) = event.kind() else { continue };
+                let axis = usize::from(event.axis);
+                let Some(of) = header.axes.get(axis) else { continue };
+                (event.index, axis, vec![News::change(one.described(of.fault(one.code.into())))])
+            }
+            Record::Monitor(_) | Record::Command(_) | Record::Native(_) => continue,
             Record::Reference(now) => {
                 let news = steered(header, led.replace(*now).as_ref(), now);
                 (now.index, the_reference, news.into_iter().collect())

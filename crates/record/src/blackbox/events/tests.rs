@@ -3,7 +3,7 @@
 use super::*;
 use crate::blackbox::file::Channel;
 use fieldbeat_core::axis::{Emergency, State, StopCause};
-use fieldbeat_core::cycle::record::MonitorRecord;
+use fieldbeat_core::cycle::record::{EventRecord, MonitorRecord};
 use fieldbeat_core::time::MS;
 
 fn machine() -> (Header, Vec<Record>) {
@@ -160,11 +160,10 @@ fn what_a_drive_does_not_tell_is_a_dash_and_null() {
 fn an_emergency_is_reported_by_its_name_when_it_came() {
     let (mut header, mut records) = machine();
     header.axes[0].faults.insert(0x4310, "motor temperature".into());
-    for record in &mut records {
-        if let Record::Drive(drive @ DriveRecord { axis: 0, index: 98 | 100, .. }) = record {
-            let code = if drive.index == 98 { 0x4310 } else { 0 };
-            drive.emergency = Some(Emergency { code, register: 8 }.into());
-        }
+    for (index, code) in [(98, 0x4310), (100, 0)] {
+        let came = EventKind::Emergency(Emergency { code, register: 8 });
+        let place = records.iter().position(|record| record.index() > index).unwrap();
+        records.insert(place, Record::Event(EventRecord::new(index, 0, came, None)));
     }
     let found: Vec<_> = events(&header, &records)
         .into_iter()

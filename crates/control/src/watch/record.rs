@@ -1,4 +1,4 @@
-//! The bytes of a record. Integers and floats are little-endian.
+//! The bytes of a record in a stream. Integers and floats are little-endian.
 
 use std::num::NonZeroU32;
 
@@ -170,5 +170,86 @@ impl Bytes<'_> {
         byte.pass(self)?;
         flags.into_iter().enumerate().for_each(|(bit, flag)| *flag = byte >> bit & 1 != 0);
         Some(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use fieldbeat_core::axis::Emergency;
+    use fieldbeat_core::cycle::record::{Look, measured};
+    use fieldbeat_core::time::Time;
+
+    fn records() -> Vec<Record> {
+        vec![
+            Record::Drive(DriveRecord {
+                index: u64::MAX,
+                axis: 1,
+                reply: Reply::Unsent,
+                link: Link::Lost,
+                state: State::Fault,
+                stopped: Some(StopCause::GroupFailed),
+                command: 12,
+                moving: true,
+                sto_open: true,
+                was_online: true,
+                phase_ns: measured(1),
+                jitter_ns: None,
+                rtt_ns: measured(u64::MAX),
+                age_ns: measured(4),
+                fault: 5,
+                warning: 6,
+                emergency: Some(Emergency { code: 0x4310, register: 8 }.into()),
+                current: -1.5,
+                velocity: 2.5,
+                position: f64::MIN,
+                demand: 1e-9,
+            }),
+            Record::Monitor(MonitorRecord {
+                index: u64::MAX - 1,
+                axis: 1,
+                shown: [Some(-0.25), None, Some(f64::MAX), None].into(),
+            }),
+            Record::Reference(ReferenceRecord {
+                index: 25,
+                error_ns: Some(i32::MIN),
+                step_ns: -26,
+                locked: true,
+                counts: true,
+            }),
+            Record::Reference(ReferenceRecord { index: 27, ..ReferenceRecord::default() }),
+            Record::Cycle(CycleRecord {
+                index: 7,
+                grid: Time(8),
+                wake_ns: 9,
+                spun: true,
+                jitter_ns: 10,
+                stages_ns: [11, 12, 13, 14, 15, 16],
+                missed: 17,
+                look: Some(Look { faults: 18, switches: 19 }),
+            }),
+            Record::Skipped(SkippedRecord {
+                first: 20,
+                grid: Time(21),
+                count: 22,
+                late_ns: 23,
+                given_up_ns: 24,
+                woke_late: true,
+                late: true,
+                spun: false,
+                look: None,
+            }),
+        ]
+    }
+
+    #[test]
+    fn what_is_sent_is_received_and_an_axis_that_is_not_known_is_none() {
+        for record in records() {
+            let mut bytes = Vec::new();
+            put(&record, &mut bytes);
+            assert_eq!((bytes.len(), get(&bytes, 2)), (RECORD, Some(record)));
+            let is_of_axis = matches!(record, Record::Drive(_) | Record::Monitor(_));
+            assert_eq!(get(&bytes, 1).is_none(), is_of_axis);
+        }
     }
 }

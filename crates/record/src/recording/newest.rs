@@ -1,0 +1,128 @@
+//! The newest records of a machine, in memory, and when they are to be written: when something fails, or on request.
+
+use std::collections::VecDeque;
+use std::io;
+
+use super::machine::{CYCLE, Machine, WHY};
+use super::writer::Writer;
+use crate::failures::Failures;
+use fieldbeat_core::cycle::record::Record;
+use fieldbeat_core::time::MS;
+use fieldbeat_telemetry::causes::Judged;
+
+/// So much of what follows upon a failure is in its file: how the stop went.
+pub const AFTERMATH_NS: u64 = 200 * MS;
+
+/// The newest records of a machine.
+#[derive(Debug)]
+pub struct Newest {
+    /// The records.
+    pub records: VecDeque<Record>,
+    /// The newest cycle.
+    pub cycle: u64,
+    machine: Machine,
+    failures: Failures,
+    /// Cycles that follow upon a failure.
+    aftermath: u64,
+    due: Option<Due>,
+}
+
+/// Why and when they are to be written.
+#[derive(Clone, Debug)]
+pub struct Due {
+    /// Why.
+    pub why: String,
+    /// The cycle in which that happened.
+    pub cycle: u64,
+    /// Once this cycle has come.
+    pub from: u64,
+    /// Something failed; otherwise the file was requested.
+    pub failed: bool,
+}
+
+/// A file as it is to be written.
+#[derive(Debug)]
+pub struct Encoded {
+    /// All of it.
+    pub bytes: Vec<u8>,
+    /// Its messages.
+    pub messages: u64,
+    /// Records that are missing in it.
+    pub lost: u64,
+}
+
+impl Newest {
+    /// Those of `machine`, with so many cycles of what follows upon one of its `failures`; none yet.
+    pub fn new(machine: Machine, failures: Failures, aftermath: u64) -> Newest {
+        Newest { records: VecDeque::new(), cycle: 0, machine, failures, aftermath, due: None }
+    }
+
+    /// Takes a record in. A failure in it is written with what follows, not before cycle `earliest`; `None`: no more.
+    pub fn enter(&mut self, record: &Record, earliest: Option<u64>) {
+        self.records.push_back(*record);
+        match record {
+            Record::Drive(drive) => {
+                if let (Some(why), Some(earliest)) = (self.failures.see(drive), earliest) {
+                    let (cycle, from) = (drive.index, (drive.index + self.aftermath).max(earliest));
+                    self.is_due(Due { why, cycle, from, failed: true });
+                }
+            }
+            Record::Cycle(_) | Record::Skipped(_) => self.cycle = record.index(),
+            Record::Monitor(_) | Record::Reference(_) | Record::Command(_) => {}
+            Record::Event(_) | Record::Native(_) => {}
+        }
+    }
+
+    /// A file is requested, though nothing failed, with so many cycles of what follows.
+    pub fn request(&mut self, cycles: u64) {
+        let (cycle, from) = (self.cycle, self.cycle + cycles);
+        self.is_due(Due { why: "requested".to_owned(), cycle, from, failed: false });
+    }
+
+    /// The first failure is the reason that is written; a request does not delay it.
+    pub fn is_due(&mut self, due: Due) {
+        if self.due.as_ref().is_none_or(|known| due.failed && !known.failed) {
+            self.due = Some(due);
+        }
+    }
+
+    /// What is to be written by now; whatever is, if there is nothing more to wait for.
+    pub fn take_due(&mut self, last: bool) -> Option<Due> {
+        self.due.take_if(|due| last || self.cycle >= due.from)
+    }
+
+    /// Whether something is to be written, now or later.
+    pub fn has_due(&self) -> bool {
+        self.due.is_some()
+    }
+
+    /// The machine as the file of `due` describes it.
+    pub fn machine(&self, due: &Due) -> Machine {
+        let mut machine = self.machine.clone();
+        let why = [(WHY, due.why.clone()), (CYCLE, due.cycle.to_string())];
+        machine.about.extend(why.map(|(key, value)| (key.to_owned(), value)));
+        machine
+    }
+}
+
+impl Due {
+    /// The name of its file, which begins with `stem`.
+    pub fn file_name(&self, stem: &str) -> String {
+        format!("{stem}-cycle-{}.mcap", self.cycle)
+    }
+}
+
+/// The file of a machine whose clock is so much earlier than UTC. Records that are `lost` are missing in it.
+pub fn encode<'a>(
+    machine: Machine,
+    utc_ns: i64,
+    mut records: impl Iterator<Item = &'a Record>,
+    mut judged: impl Iterator<Item = &'a Judged>,
+    lost: u64,
+) -> io::Result<Encoded> {
+    let mut writer = Writer::new(Vec::new(), machine, utc_ns)?;
+    records.try_for_each(|record| writer.enter(record))?;
+    judged.try_for_each(|judged| writer.late(judged))?;
+    let (messages, lost) = (writer.written().messages, lost + writer.dropped());
+    Ok(Encoded { bytes: writer.finish(lost)?, messages, lost })
+}
