@@ -73,17 +73,10 @@ fn a_recording_has_every_executed_cycle_and_what_is_native_of_chosen_drives_and_
     let wide = run(["export", file, "--csv", "-"]).expect(0).out.clone();
     assert_eq!(wide.lines().count() as u64, executed + 1);
     assert!(wide.starts_with("time [s],cycle,d0.position [mm],"), "{wide}");
-    run(["export", file, "--perfetto"]).expect(0);
-    let written = std::fs::read_to_string(machine.path("run.json")).unwrap();
-    assert_eq!(run(["export", file, "--perfetto", "-"]).expect(0).out, written);
-    let trace: Value = serde_json::from_str(&written).unwrap();
-    let sends = trace["traceEvents"].as_array().unwrap().iter().filter(|event| event["name"] == "send");
-    assert_eq!(sends.count() as u64, executed);
     let bare = machine.path("bare");
     std::fs::copy(file, &bare).unwrap();
     run(["export", bare.to_str().unwrap(), "--csv"]).refused(&["has no extension", "--csv DIR"]);
     // What is there is never replaced, and an export that fails leaves nothing in the way of the next one.
-    run(["export", file, "--perfetto", machine.path("run.json").to_str().unwrap()]).expect(2);
     for entry in std::fs::read_dir(&tables).unwrap() {
         let path = entry.unwrap().path();
         if !path.ends_with("axes_d1.csv") {
@@ -101,7 +94,7 @@ fn a_recording_has_every_executed_cycle_and_what_is_native_of_chosen_drives_and_
     other[at + key.len() - 1] = b'9';
     let other = machine.write("other.mcap", other);
     run(["export", other.to_str().unwrap(), "--csv"])
-        .refused(&["other.mcap: it was recorded by version ", " (format 9): export it with that one"]);
+        .refused(&["other.mcap: it was recorded by version ", " (format 9): read it with that one"]);
     assert!(!machine.path("other").exists());
 }
 
@@ -167,19 +160,21 @@ fn what_is_newest_and_a_black_box_are_written_on_request_and_exported_and_what_i
     }
 
     let file = summary["black_boxes"][0]["path"].as_str().unwrap();
-    let path = machine.path("box.mcap");
-    run(["export", file, "--mcap", path.to_str().unwrap()]).expect(0);
-    let (entries, wrong) = read(&path);
+    let (entries, wrong) = read(file.as_ref());
     assert!(wrong.is_none() && count(&entries, "/axes/d0") == count(&entries, "/cycle"), "{wrong:?}");
     let wide = run(["export", file, "--csv", "-"]).expect(0).out.clone();
     assert_eq!(wide.lines().count() as u64, count(&entries, "/cycle") + 1);
-
-    run(["export", file, "--pcapng"]).refused(&["which has no telegrams", "--record FILE --record-wire"]);
-    let text = machine.write("notes.txt", "mine");
-    let damaged = machine.write("damaged.blackbox", &std::fs::read(file).unwrap()[..5_000]);
-    for (file, words) in
-        [(&text, "not a recording"), (&damaged, "is damaged"), (&machine.path("none"), "No such file")]
+    // A recording is told as well: one of a request, and one of the whole run.
+    for (path, why) in
+        [(&requested().unwrap(), "requested, in cycle "), (&newest, "end of the run, in cycle ")]
     {
+        let told = run(["blackbox", path.to_str().unwrap()]).expect(0).out.clone();
+        assert!(told.lines().nth(1).unwrap().starts_with(why) && told.contains("\ndrive d0, mm\n"), "{told}");
+    }
+
+    run(["export", file, "--pcapng"]).refused(&["has no telegrams", "--record FILE --record-wire"]);
+    let text = machine.write("notes.txt", "mine");
+    for (file, words) in [(&text, "not a recording"), (&machine.path("none"), "No such file")] {
         let ended = run(["export", file.to_str().unwrap(), "--csv", machine.path("no").to_str().unwrap()]);
         assert!(ended.expect(2).err.contains(words) && ended.err.lines().count() == 1, "{ended:?}");
     }

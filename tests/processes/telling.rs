@@ -208,7 +208,7 @@ fn files(directory: &Path) -> Vec<PathBuf> {
     let mut files: Vec<_> =
         fs::read_dir(directory).into_iter().flatten().map(|entry| entry.unwrap().path()).collect();
     files.sort();
-    files.retain(|path| path.extension().is_some_and(|extension| extension == "blackbox"));
+    files.retain(|path| path.extension().is_some_and(|extension| extension == "mcap"));
     files
 }
 
@@ -261,13 +261,13 @@ fn a_lost_drive_leaves_a_black_box_that_tells_how_it_came_to_it() {
     let why = format!("drive {first}: link lost, in cycle");
     assert!(text.contains(&why) && text.contains("drive d1, mm"), "{text}");
 
-    // Those that are damaged or none, and the list: it reads the headers, of which a cut file has no whole one.
+    // Those that are damaged or none, and the list, which reads the begin of each, and looks for its end.
     let bytes = fs::read(path).unwrap();
-    fs::write(directory.join("cut.blackbox"), &bytes[..bytes.len() / 2]).unwrap();
+    fs::write(directory.join("cut.mcap"), &bytes[..bytes.len() / 2]).unwrap();
     for (file, what) in [
-        ("cut.blackbox", "its end is missing"),
-        ("none.blackbox", "cannot read"),
-        ("", "is not a black-box file"),
+        ("cut.mcap", "its end is missing"),
+        ("none.mcap", "No such file"),
+        ("", "not a recording of fieldbeat"),
     ] {
         blackbox(&directory.join(file), &[]).refused(&[file, what]);
     }
@@ -280,7 +280,7 @@ fn a_lost_drive_leaves_a_black_box_that_tells_how_it_came_to_it() {
     assert!(!text.contains('\x1b'), "{text}");
     let listing = list(&["--json"]).expect(0).json();
     let files = listing["files"].as_array().unwrap();
-    let cut = files.iter().find(|file| file["file"] == "cut.blackbox").unwrap();
+    let cut = files.iter().find(|file| file["file"] == "cut.mcap").unwrap();
     assert!(cut["bytes"].is_u64() && cut["error"].is_string(), "{listing}");
 }
 
