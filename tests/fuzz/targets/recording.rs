@@ -2,6 +2,7 @@
 //! is whole is repeated as it was.
 
 use std::io::sink;
+use std::path::Path;
 
 use fieldbeat::replay::Replay;
 use fieldbeat_record::blackbox::{events, file};
@@ -85,10 +86,7 @@ fn repeat(bytes: &[u8], is_whole: bool) {
     let name = format!("fieldbeat-fuzz-{}-{:?}.mcap", std::process::id(), std::thread::current().id());
     let path = std::env::temp_dir().join(name);
     std::fs::write(&path, bytes).unwrap();
-    match file::load(&path) {
-        Ok((header, records)) => assert!(!events::text(&header, &records, 20).is_empty()),
-        Err(wrong) => assert!(!is_whole && !wrong.to_string().is_empty(), "{wrong}"),
-    }
+    tell(&path, bytes);
     let opened = Replay::open(&path);
     let ended = opened.map(|mut replay| {
         let steps = (0..MOST_CYCLES).take_while(|_| replay.step()).count();
@@ -99,5 +97,14 @@ fn repeat(bytes: &[u8], is_whole: bool) {
     match ended {
         Ok((verdict, end)) => assert!(!is_whole || verdict.is_equal(), "{verdict:?}, {end:?}"),
         Err(error) => assert!(!is_whole && !error.to_string().is_empty(), "{error}"),
+    }
+}
+
+/// What led up to the end of a recording, which is at `path`.
+fn tell(path: &Path, bytes: &[u8]) {
+    let entries = Reading::of(bytes.to_vec()).take_while(Result::is_ok);
+    match file::load_header(path).and_then(|header| file::read(header, entries)) {
+        Ok((header, records)) => assert!(!events::text(&header, &records, 20).is_empty()),
+        Err(wrong) => assert!(!wrong.to_string().is_empty()),
     }
 }

@@ -123,8 +123,16 @@ impl From<MonitorChannel> for Channel {
 
 /// Reads a file. What no black box wrote is told up to its end.
 pub fn load(path: &Path) -> Result<(Header, Vec<Record>), Wrong> {
-    let mut file = Loading { header: load_header(path)?, places: HashMap::new(), records: VecDeque::new() };
-    for entry in Reading::open(path)? {
+    read(load_header(path)?, Reading::open(path)?)
+}
+
+/// The same of a file with this header and these messages.
+pub fn read(
+    header: Header,
+    entries: impl IntoIterator<Item = Result<Entry, Wrong>>,
+) -> Result<(Header, Vec<Record>), Wrong> {
+    let mut file = Loading { header, places: HashMap::new(), records: VecDeque::new() };
+    for entry in entries {
         match entry {
             Ok(entry) => file.enter(&entry)?,
             // It has no message.
@@ -407,7 +415,7 @@ mod tests {
     }
 
     /// What is read of a file with these bytes.
-    fn read(bytes: &[u8]) -> Result<(Header, Vec<Record>), Wrong> {
+    fn loaded(bytes: &[u8]) -> Result<(Header, Vec<Record>), Wrong> {
         let file = tempfile::NamedTempFile::new().unwrap();
         std::fs::write(file.path(), bytes).unwrap();
         load(file.path())
@@ -416,7 +424,7 @@ mod tests {
     #[test]
     fn what_is_written_is_read() {
         let mut expected = records();
-        let (header, records) = read(&bytes(Some("drive x: link lost"), &expected)).unwrap();
+        let (header, records) = loaded(&bytes(Some("drive x: link lost"), &expected)).unwrap();
         // Its values stand side by side.
         if let Record::Monitor(monitor) = &mut expected[2] {
             monitor.shown = [Some(-0.25), Some(f64::MAX), None, None].into();
@@ -429,12 +437,12 @@ mod tests {
         let monitor = [channel("demand-current", "A"), channel("0x1E10", ""), None, None];
         let faults = [(0x4310, "too hot".into())].into();
         assert_eq!(header.axes, [axis("x"), Axis { monitor, faults, ..axis("y") }]);
-        assert_eq!(read(&bytes(Some("requested"), &[])).unwrap().1, []);
+        assert_eq!(loaded(&bytes(Some("requested"), &[])).unwrap().1, []);
     }
 
     #[test]
     fn a_recording_of_a_run_is_told_up_to_its_end() {
-        let (header, records) = read(&bytes(None, &records())).unwrap();
+        let (header, records) = loaded(&bytes(None, &records())).unwrap();
         assert_eq!((&*header.why, header.cycle, records.len()), ("the end of the recording", 8, 7));
         assert!(!header.written.is_empty());
     }
@@ -442,7 +450,7 @@ mod tests {
     #[test]
     fn a_number_without_a_meaning_is_damage() {
         let unknown = DriveRecord { command: 200, ..DriveRecord::default() };
-        let wrong = read(&bytes(None, &[Record::Drive(unknown)])).unwrap_err();
+        let wrong = loaded(&bytes(None, &[Record::Drive(unknown)])).unwrap_err();
         let text = "it is damaged (command 200, which this version does not know)";
         assert_eq!(wrong.to_string(), text);
     }
@@ -451,7 +459,7 @@ mod tests {
     fn a_file_that_is_cut_is_named_and_a_directory_is_none() {
         let whole = bytes(Some("requested"), &records());
         for length in [whole.len() - 1, whole.len() / 2, 40] {
-            assert!(matches!(read(&whole[..length]), Err(Wrong::Cut)), "{length}");
+            assert!(matches!(loaded(&whole[..length]), Err(Wrong::Cut)), "{length}");
         }
         for path in ["/", "/dev/zero", "/none"] {
             let text = load(path.as_ref()).unwrap_err().to_string();
