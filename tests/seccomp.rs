@@ -28,6 +28,7 @@ use fieldbeat::time::{MS, Time};
 use fieldbeat::{Axes, Cycle, CyclePlan, Flow, Plan};
 use fieldbeat_core::axis::acyclic::{Call, Notation};
 use fieldbeat_core::cycle::engine::{Control, Engine};
+use fieldbeat_core::cycle::ring::Kept;
 use fieldbeat_core::cycle::status::Gauges;
 use fieldbeat_core::cycle::task::Task;
 use fieldbeat_core::inputs::{InputLog, recording};
@@ -210,7 +211,7 @@ impl<C: Clock + Send + 'static> Confined<C> {
     fn start(plan: &Plan, clock: C, carriers: &dyn Carriers, task: Task) -> (Confined<C>, Vec<Axis>) {
         let control = Control::default();
         let Assembly { engine, axes, gauges, records, .. } =
-            assemble(plan, clock, carriers, Some(task), control.clone()).unwrap();
+            assemble(plan, clock, carriers, Some(task), control.clone(), Kept::default()).unwrap();
         let measured = Measured::new(&plan.units(), &plan.cycle, true);
         let recorder = TelemetryThread::start(records, measured, Taps::default(), None, None, || {}).unwrap();
         let engine = Arc::new(Mutex::new(Some(engine)));

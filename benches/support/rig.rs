@@ -14,6 +14,7 @@ use fieldbeat::time::{MS, S, Time};
 use fieldbeat::{CyclePlan, Granted, Guard, Memory, Overrun, Plan, Realtime, RealtimeError, Wait};
 use fieldbeat_core::cycle::engine::Control;
 use fieldbeat_core::cycle::record::{Record, Reply};
+use fieldbeat_core::cycle::ring::Kept;
 use fieldbeat_core::inputs::recording::LogReader;
 use fieldbeat_core::inputs::{InputLog, recording};
 use fieldbeat_core::logged::{LoggedCarriers, LoggedClock};
@@ -496,7 +497,7 @@ impl<C: Metered> Rig<C> {
     ) -> Rig<C> {
         let plan = Plan { source: None, cycle, buses, groups: Vec::new() };
         AHEAD_NS.store(0, Ordering::Relaxed);
-        let assembly = match assemble(&plan, clock, carriers, None, Control::default()) {
+        let assembly = match assemble(&plan, clock, carriers, None, Control::default(), Kept::default()) {
             Ok(assembly) => assembly,
             Err(error) => give_up(error),
         };
@@ -545,7 +546,7 @@ impl<C: Metered> Rig<C> {
         let busy_ns = end.since(clock.woke.unwrap_or(end)).saturating_sub(clock.waited_ns);
         self.grid = clock.grid;
         let calls = self.calls.now().since(before);
-        while let Ok(entry) = self.assembly.records.pop() {
+        while let Some(entry) = self.assembly.records.pop() {
             record(entry);
         }
         self.take_log();
@@ -559,7 +560,7 @@ impl<C: Metered> Rig<C> {
         engine.clock().meter().woke = None;
         counted(|| engine.step());
         self.grid = engine.clock().meter().grid;
-        while self.assembly.records.pop().is_ok() {}
+        while self.assembly.records.pop().is_some() {}
         self.take_log();
     }
 

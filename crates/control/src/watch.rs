@@ -22,12 +22,12 @@ use super::protocol::{Exchange, LOOK_EVERY};
 use super::server::{PATIENCE_OF_STREAM, Sender};
 use super::{AskError, Conversation};
 use fieldbeat_core::axis::{BegunBy, EventKind, FaultNames};
-use fieldbeat_core::cycle::record::{CommandRecord, CommandStep, Record};
+use fieldbeat_core::cycle::record::{CommandStep, Record};
 use fieldbeat_core::rt::MonotonicClock;
 use fieldbeat_core::rt::thread::helper_thread;
 use fieldbeat_core::time::nanos;
 use fieldbeat_record::blackbox::file::Header;
-use fieldbeat_record::blackbox::{fault_codes, header};
+use fieldbeat_record::blackbox::header;
 use fieldbeat_record::summary::Found;
 use fieldbeat_telemetry::Monitor;
 use fieldbeat_telemetry::causes::Tally;
@@ -245,7 +245,7 @@ impl Stream<'_> {
         for record in records {
             let Record::Drive(drive) = record else { continue };
             let axis = usize::from(drive.axis);
-            for code in fault_codes(drive) {
+            for code in Some(drive.fault).filter(|code| *code != 0) {
                 if self.named.contains(&(drive.axis, code)) {
                     continue;
                 }
@@ -260,9 +260,9 @@ impl Stream<'_> {
     /// What happened, in words: the codes of faults mean something here only.
     fn events(&self, records: &[Record]) -> Vec<Happened> {
         let happened = records.iter().filter_map(|record| match record {
-            Record::Command(CommandRecord { index, axis, step: CommandStep::Begun, id, command, .. }) => {
-                let text = format!("{} (command {}) begins", command.name(), id.0);
-                Some(Happened { cycle: *index, axis: usize::from(*axis), text, fault: false })
+            Record::Command(begun) if begun.step() == CommandStep::Begun => {
+                let text = format!("{} (command {}) begins", begun.command().name(), begun.id.0);
+                Some(Happened { cycle: begun.index, axis: begun.axis().into(), text, fault: false })
             }
             Record::Event(event) => {
                 let (axis, kind) = (usize::from(event.axis), event.kind()?);

@@ -1,6 +1,7 @@
 //! The loop of a plan with its buses, and the application's handles.
 
 use std::any::Any;
+use std::io;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -16,7 +17,7 @@ use fieldbeat_core::bus::{BusFacts, BusNumbers, DeviceEnds, LastResort, OpenErro
 use fieldbeat_core::cycle::Plan;
 use fieldbeat_core::cycle::bound::{self, Paced};
 use fieldbeat_core::cycle::engine::{AxisEntry, AxisOutlet, Channels, Control, Engine};
-use fieldbeat_core::cycle::record::Record;
+use fieldbeat_core::cycle::ring::{self, Kept, RecordReader};
 use fieldbeat_core::cycle::status::{AxisGauge, AxisInfo, BusGauge, BusInfo, DriveNumbers, Gauges, Status};
 use fieldbeat_core::cycle::task::Task;
 use fieldbeat_core::cycle::window::{Gate, OpenBus};
@@ -41,7 +42,9 @@ pub struct Assembly<C> {
     /// What the loop counts.
     pub gauges: Gauges,
     /// The loop's records for the telemetry. Whoever steps the engine empties them, or records are lost.
-    pub records: rtrb::Consumer<Record>,
+    pub records: RecordReader,
+    /// Why the records end with this process, although they are to outlive it.
+    pub unnamed: Option<io::Error>,
     /// The application's sign of life.
     pub pulse: Pulse,
     /// Who may use the wires.
@@ -75,13 +78,15 @@ impl Devices {
 }
 
 /// Opens the buses of `plan` over `carriers` and builds the loop for a caller that steps it by hand on its own
-/// thread, clock and carriers: virtual time and the benches. Sends nothing.
+/// thread, clock and carriers: virtual time and the benches. `kept` says which of the loop's records stay at hand. Sends
+/// nothing.
 pub fn assemble<C: Clock>(
     plan: &Plan,
     clock: C,
     carriers: &dyn Carriers,
     task: Option<Task>,
     control: Control,
+    kept: Kept,
 ) -> Result<Assembly<C>, OpenError> {
     let (period_ns, grid) = (plan.cycle.period_ns, plan.cycle.grid());
     let pulse = Pulse::default();
@@ -214,13 +219,26 @@ pub fn assemble<C: Clock>(
     acyclics.extend(of_devices);
     let native_records = plan.native_records_a_cycle();
     let records_a_cycle = plan.records_a_cycle() + native_records;
-    let (record_in, records) = rt::ring(TelemetryThread::ring_size(records_a_cycle, period_ns), &mut regions);
+    let room = TelemetryThread::ring_size(records_a_cycle, period_ns);
+    let (record_in, records, unnamed) = ring::records(room, kept, &mut regions);
     let channels =
         Channels { control, pulse: pulse.clone(), bells, records: record_in, status: status_in, log, gate };
     let mut engine = Engine::new(clock, plan.cycle.clone(), entries, buses, task, channels);
     engine.record_native(plan.native_layouts().into_iter().flatten().map(|(axis, _)| axis), native_records);
     engine.memory(&mut regions);
-    Ok(Assembly { engine, axes, devices, acyclics, gauges, records, pulse, wires, last_resorts, regions })
+    Ok(Assembly {
+        engine,
+        axes,
+        devices,
+        acyclics,
+        gauges,
+        records,
+        unnamed,
+        pulse,
+        wires,
+        last_resorts,
+        regions,
+    })
 }
 
 /// How many drives are probed for the first time in one cycle.

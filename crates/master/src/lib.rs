@@ -32,6 +32,7 @@ use fieldbeat_core::bus::diagnosis::NOT_YET;
 use fieldbeat_core::bus::{Cycle, OpenError};
 use fieldbeat_core::cycle::cost::{Costs, Demand};
 use fieldbeat_core::cycle::engine::Control;
+use fieldbeat_core::cycle::ring::Kept;
 use fieldbeat_core::cycle::status::{AtEnd, Numbers};
 use fieldbeat_core::cycle::task::{Axes, Task};
 use fieldbeat_core::cycle::{self, OnCost, Plan, PlanErrors};
@@ -455,7 +456,8 @@ impl Setup {
         let running = Running::begin(timeouts).map_err(StartError::Thread)?;
         let control = running.control();
         let steal_before_ms = rt::host::steal_ms(None);
-        let assembly = assemble(&plan, clock, carriers, task, control.clone())?;
+        let kept = kept_for(black_box.as_deref(), true);
+        let assembly = assemble(&plan, clock, carriers, task, control.clone(), kept)?;
         let Assembly {
             mut engine,
             axes,
@@ -463,6 +465,7 @@ impl Setup {
             acyclics,
             gauges,
             records,
+            unnamed,
             pulse,
             wires,
             last_resorts,
@@ -527,6 +530,13 @@ impl Setup {
                 return Err(StartError::Thread(error));
             }
         };
+        if let Some(error) = unnamed {
+            let what = format!(
+                "a program that is killed loses its black box: its records cannot be in /dev/shm ({error}); make room \
+                 there"
+            );
+            telemetry.gathered().failed(&what, false);
+        }
         let monitor = Monitor::new(plan, granted, gauges, Arc::clone(telemetry.gathered()), steal_before_ms);
         Ok(Master {
             axes: Mutex::new(axes.into_iter().map(Some).collect()),
@@ -540,4 +550,12 @@ impl Setup {
             thread: Some(thread),
         })
     }
+}
+
+/// What stays at hand for a black box; `outlives`: also once this process has ended.
+fn kept_for(black_box: Option<&dyn Keep>, outlives: bool) -> Kept {
+    black_box.map_or(Kept::default(), |black_box| Kept {
+        records: black_box.kept(),
+        about: outlives.then(|| black_box.about()),
+    })
 }

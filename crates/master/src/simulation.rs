@@ -9,17 +9,15 @@ use std::path::PathBuf;
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-use rtrb::Consumer;
-
 use crate::watch::LoopWatch;
-use crate::{Assembly, Devices, Master, MasterError, Setup, StartError, assemble, utc_ns};
+use crate::{Assembly, Devices, Master, MasterError, Setup, StartError, assemble, kept_for, utc_ns};
 use fieldbeat_core::axis::acyclic::Acyclic;
 use fieldbeat_core::axis::{Axis, Command, Event, EventKind, Feedback, Observer, Outcome, Pulse};
 use fieldbeat_core::axis::{AxisError, CommandId};
 use fieldbeat_core::bus::OpenError;
 use fieldbeat_core::bus::load::Way;
 use fieldbeat_core::cycle::engine::{Control, Engine, Flow};
-use fieldbeat_core::cycle::record::Record;
+use fieldbeat_core::cycle::ring::RecordReader;
 use fieldbeat_core::cycle::status::{Gauges, Numbers, Status};
 use fieldbeat_core::cycle::{Plan, PlanErrors};
 use fieldbeat_core::logged::{LoggedCarriers, LoggedClock};
@@ -46,7 +44,7 @@ pub struct Simulation {
     pulse: Pulse,
     control: Control,
     wires: Wires,
-    records: Consumer<Record>,
+    records: RecordReader,
     measured: Measured,
     taps: Taps,
     telemetry_by: fn(&mut dyn FnMut()),
@@ -133,7 +131,7 @@ impl Setup {
         let logged = LoggedCarriers::new(&world, &log);
         let carriers: &dyn Carriers = if log.is_on() { &logged } else { &world };
         let Assembly { mut engine, axes, devices, acyclics, gauges, records, pulse, wires, .. } =
-            assemble(&plan, clock, carriers, task, control.clone())?;
+            assemble(&plan, clock, carriers, task, control.clone(), kept_for(black_box.as_deref(), false))?;
         engine.begin();
         if let Some((_, sink)) = &mut sink {
             sink.begin(utc_ns(engine.clock().inner().now()));
@@ -364,7 +362,7 @@ impl Simulation {
     /// Empties the ring of the loop.
     fn gather(&mut self) {
         let mut batch = (!self.taps.is_empty()).then(Vec::new);
-        while let Ok(record) = self.records.pop() {
+        while let Some(record) = self.records.pop() {
             self.measured.enter(&record);
             if let Some((_, sink)) = &mut self.sink {
                 sink.enter(&record);

@@ -1,14 +1,12 @@
 //! A machine that repeats a recorded run in virtual time.
 
-use rtrb::Consumer;
-
 use super::difference::Difference;
 use super::reader::{LogEnd, Recorded, ReplayError, SharedEnd};
 use fieldbeat_core::axis::{Axis, Event, Feedback, Observer};
 use fieldbeat_core::bus::{Cycle, OpenError};
 use fieldbeat_core::cycle::Plan;
 use fieldbeat_core::cycle::engine::{Control, Engine, Flow};
-use fieldbeat_core::cycle::record::Record;
+use fieldbeat_core::cycle::ring::{Kept, RecordReader};
 use fieldbeat_core::cycle::status::Status;
 use fieldbeat_core::cycle::task::{Axes, Task};
 use fieldbeat_core::inputs::replaying::Source;
@@ -47,7 +45,7 @@ pub struct Replay {
     plan: Plan,
     axes: Vec<Axis>,
     observers: Vec<Observer>,
-    records: Consumer<Record>,
+    records: RecordReader,
     /// Events of all axes so far, in the order of their cycles, each with the index of its axis.
     pub events: Vec<(usize, Event)>,
     /// The cycle after the last one that was repeated.
@@ -104,7 +102,7 @@ impl Replay {
         };
         let carriers = ReplayCarriers::new(&log);
         let Assembly { mut engine, axes, records, .. } =
-            assemble(&plan, ReplayClock::new(&log), &carriers, task, Control::default())?;
+            assemble(&plan, ReplayClock::new(&log), &carriers, task, Control::default(), Kept::default())?;
         engine.begin();
         let observers = axes.iter().map(Axis::observer).collect();
         Ok(Replay {
@@ -176,7 +174,7 @@ impl Replay {
         // All slots that were passed over are repeated, too.
         self.next = self.next.max(self.engine.slot());
         // Nobody else takes them, and full queues would be another run.
-        while self.records.pop().is_ok() {}
+        while self.records.pop().is_some() {}
         for (index, axis) in self.axes.iter_mut().enumerate() {
             while let Some(event) = axis.event() {
                 self.events.push((index, event));

@@ -211,7 +211,7 @@ impl<'a> Attached<'a> {
                 "stopped": drive.stopped.map(|cause| cause.name()),
                 "fault": (drive.fault != 0).then(|| of.fault(drive.fault).to_string()),
                 "warning": (drive.warning != 0).then(|| format!("{:#06x}", drive.warning)),
-                "sto_open": drive.sto_open,
+                "sto_open": drive.sto_open(),
                 "position": drive.reported(drive.position),
                 "error": drive.following_error(of.modulo),
             })

@@ -206,7 +206,9 @@ impl Causes {
     #[doc(hidden)]
     pub fn record(&mut self, record: &Record) {
         match record {
-            Record::Drive(DriveRecord { index, axis, reply: Reply::Missed, was_online: true, .. }) => {
+            Record::Drive(drive @ DriveRecord { index, axis, reply: Reply::Missed, .. })
+                if drive.was_online() =>
+            {
                 if self.missed.is_none_or(|(cycle, _)| cycle != *index) {
                     self.missed = Some((*index, *axis));
                 }

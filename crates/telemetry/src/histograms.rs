@@ -151,10 +151,10 @@ impl Histograms {
     #[doc(hidden)]
     pub fn enter(&mut self, record: &Record, period_ns: u64) {
         match record {
-            Record::Drive(DriveRecord { axis, rtt_ns, jitter_ns, age_ns, reply, was_online, .. }) => {
+            Record::Drive(of @ DriveRecord { axis, rtt_ns, jitter_ns, age_ns, reply, .. }) => {
                 let Some(drive) = self.drives.get_mut(usize::from(*axis)) else { return };
                 let is_unanswered = matches!(reply, Reply::Missed | Reply::Unsent);
-                drive.unanswered += u64::from(is_unanswered && *was_online);
+                drive.unanswered += u64::from(is_unanswered && of.was_online());
                 drive.rtt.enter_measured(*rtt_ns);
                 drive.send_jitter.enter_measured(*jitter_ns);
                 drive.age.enter_measured(*age_ns);

@@ -10,8 +10,6 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError, TryLockError};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-use rtrb::Consumer;
-
 use super::causes::Causes;
 use super::histograms::Histograms;
 use super::motion::Motion;
@@ -20,8 +18,9 @@ use super::tap::Taps;
 use super::timeline::Timeline;
 use crate::parts::Parts;
 use fieldbeat_core::axis::cell::Reader;
-use fieldbeat_core::axis::{Emergency, StopCause, Units};
+use fieldbeat_core::axis::{Emergency, EventKind, StopCause, Units};
 use fieldbeat_core::cycle::record::Record;
+use fieldbeat_core::cycle::ring::RecordReader;
 use fieldbeat_core::cycle::status::{Numbers, Status};
 use fieldbeat_core::cycle::{CyclePlan, Plan};
 use fieldbeat_core::rt::Granted;
@@ -140,11 +139,13 @@ impl Measured {
         if let Record::Cycle(cycle) = record {
             self.parts.look(cycle.index, &self.histograms);
         }
+        if let Record::Event(event) = record
+            && let Some(EventKind::Emergency(emergency)) = event.kind()
+        {
+            self.note(event.index, event.axis.into(), emergency);
+        }
         let Record::Drive(drive) = record else { return };
         self.motion.enter(drive);
-        if let Some(emergency) = drive.emergency() {
-            self.note(drive.index, drive.axis.into(), emergency);
-        }
         if drive.stopped == Some(StopCause::LinkThread) {
             self.failed(
                 "internal error: the thread that opens connections has ended; the axes of its buses were \
@@ -211,11 +212,17 @@ impl Run {
     }
 }
 
-/// What keeps the last records and writes them to a file when something fails. It runs on the telemetry thread.
+/// What writes the last records to a file when something fails. It runs on the telemetry thread.
 #[doc(hidden)]
 pub trait Keep: fmt::Debug + Send {
-    /// Takes a record in, and notices what fails.
-    fn enter(&mut self, record: &Record);
+    /// How many records are to stay at hand behind the newest one.
+    fn kept(&self) -> usize;
+
+    /// What a reader of their memory needs to know of them after the program has ended.
+    fn about(&self) -> Vec<u8>;
+
+    /// Notices what fails. `record` is the newest one that `ring` keeps.
+    fn enter(&mut self, record: &Record, ring: &RecordReader);
 
     /// A file is requested, though nothing failed.
     fn request(&mut self);
@@ -226,7 +233,7 @@ pub trait Keep: fmt::Debug + Send {
 
     /// Writes a file if it is time; `last` waits for nothing more, and not for ever for a disk. Returns the files that
     /// were finished meanwhile.
-    fn write(&mut self, last: bool) -> Vec<Written>;
+    fn write(&mut self, last: bool, ring: &RecordReader) -> Vec<Written>;
 }
 
 /// A file that was written, or was to be.
@@ -332,7 +339,7 @@ impl TelemetryThread {
     /// Starts to empty `ring` for all `taps`: one that is added later misses the first records. `prepare` runs first on
     /// the new thread (to keep it off the loop's core).
     pub fn start(
-        mut ring: Consumer<Record>,
+        mut ring: RecordReader,
         measured: Measured,
         taps: Taps,
         mut watch: Option<ThreadWatch>,
@@ -375,16 +382,17 @@ impl TelemetryThread {
                     let mut batch = (!shared.taps.is_empty()).then(Vec::new);
                     while !ring.is_empty() {
                         let mut measured = shared.read();
-                        for record in std::iter::from_fn(|| ring.pop().ok()).take(PIECE) {
-                            measured.enter(&record);
+                        for record in std::iter::from_fn(|| ring.next()).take(PIECE) {
+                            measured.enter(record);
                             if let Some(black_box) = &mut black_box {
-                                black_box.enter(&record);
+                                black_box.enter(record, &ring);
                             }
                             if let Some(batch) = &mut batch {
-                                batch.push(record);
+                                batch.push(*record);
                             }
                         }
                         drop(measured);
+                        ring.release();
                         // Who looks at it without a wait finds it free now and then, however much there is to do.
                         std::thread::yield_now();
                     }
@@ -400,7 +408,7 @@ impl TelemetryThread {
                         {
                             black_box.conclude(&why);
                         }
-                        for written in black_box.write(last) {
+                        for written in black_box.write(last, &ring) {
                             if written.fails_run {
                                 shared.failed(&written.to_string(), true);
                             }
@@ -496,20 +504,22 @@ mod tests {
     use std::sync::mpsc;
 
     use super::*;
-    use fieldbeat_core::cycle::record::DriveRecord;
+    use fieldbeat_core::cycle::record::{DriveRecord, EventRecord};
+    use fieldbeat_core::cycle::ring::{self, Kept, RecordWriter};
+    use fieldbeat_core::rt::Regions;
+
+    fn ring() -> (RecordWriter, RecordReader) {
+        let (writer, reader, _) = ring::records(4, Kept::default(), &mut Regions::new());
+        (writer, reader)
+    }
 
     #[test]
     fn the_newest_emergencies_are_kept_and_all_are_numbered() {
         let mut measured = Measured::new(&[Units::millimetres(1.0); 2], &CyclePlan::default(), false);
         for index in 0..100 {
             let one = Emergency { code: index as u16, register: 1 };
-            let emergency = (index % 10 != 9).then_some(one.into());
-            measured.enter(&Record::Drive(DriveRecord {
-                index,
-                axis: 1,
-                emergency,
-                ..DriveRecord::default()
-            }));
+            let kind = if index % 10 == 9 { EventKind::Restarted } else { EventKind::Emergency(one) };
+            measured.enter(&Record::Event(EventRecord::new(index, 1, kind, None)));
         }
         let [first, .., last] = measured.emergencies.make_contiguous() else { panic!("none") };
         assert_eq!((first.number, first.cycle, first.axis), (27, 28, 1));
@@ -522,7 +532,15 @@ mod tests {
     struct Panics;
 
     impl Keep for Panics {
-        fn enter(&mut self, _record: &Record) {
+        fn kept(&self) -> usize {
+            0
+        }
+
+        fn about(&self) -> Vec<u8> {
+            Vec::new()
+        }
+
+        fn enter(&mut self, _record: &Record, _ring: &RecordReader) {
             std::panic::resume_unwind(Box::new("on purpose"));
         }
 
@@ -530,19 +548,19 @@ mod tests {
 
         fn conclude(&mut self, _why: &str) {}
 
-        fn write(&mut self, _last: bool) -> Vec<Written> {
+        fn write(&mut self, _last: bool, _ring: &RecordReader) -> Vec<Written> {
             Vec::new()
         }
     }
 
     #[test]
     fn a_telemetry_thread_that_panics_is_a_failure_of_the_run_and_holds_up_no_end() {
-        let (mut records, ring) = rtrb::RingBuffer::new(4);
+        let (mut records, ring) = ring();
         let measured = Measured::new(&[Units::millimetres(1.0); 1], &CyclePlan::default(), false);
         let mut telemetry =
             TelemetryThread::start(ring, measured, Taps::default(), None, Some(Box::new(Panics)), || {})
                 .unwrap();
-        records.push(Record::Drive(DriveRecord::default())).unwrap();
+        assert!(records.push(Record::Drive(DriveRecord::default())));
         let measured = telemetry.finish(&Status::default(), Some("the loop panicked".to_owned()));
         let [first, second] = &measured.failures[..] else { panic!("{:?}", measured.failures) };
         let mut both = [first, second].map(|failure| (failure.fails_run, &*failure.what));
@@ -559,7 +577,15 @@ mod tests {
     }
 
     impl Keep for Held {
-        fn enter(&mut self, _record: &Record) {
+        fn kept(&self) -> usize {
+            0
+        }
+
+        fn about(&self) -> Vec<u8> {
+            Vec::new()
+        }
+
+        fn enter(&mut self, _record: &Record, _ring: &RecordReader) {
             self.at_work.send(()).unwrap();
             self.goes_on.recv().unwrap();
         }
@@ -568,20 +594,20 @@ mod tests {
 
         fn conclude(&mut self, _why: &str) {}
 
-        fn write(&mut self, _last: bool) -> Vec<Written> {
+        fn write(&mut self, _last: bool, _ring: &RecordReader) -> Vec<Written> {
             Vec::new()
         }
     }
 
     #[test]
     fn who_gives_signs_of_life_does_not_wait_for_a_telemetry_that_is_at_work() {
-        let (mut records, ring) = rtrb::RingBuffer::new(4);
+        let (mut records, ring) = ring();
         let measured = Measured::new(&[Units::millimetres(1.0); 1], &CyclePlan::default(), false);
         let ((at_work, held), (go_on, goes_on)) = (mpsc::channel(), mpsc::channel());
         let keep = Box::new(Held { at_work, goes_on });
         let mut telemetry =
             TelemetryThread::start(ring, measured, Taps::default(), None, Some(keep), || {}).unwrap();
-        records.push(Record::Drive(DriveRecord::default())).unwrap();
+        assert!(records.push(Record::Drive(DriveRecord::default())));
         held.recv().unwrap();
         assert!(telemetry.gathered().try_read().is_none());
         go_on.send(()).unwrap();

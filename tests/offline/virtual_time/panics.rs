@@ -13,6 +13,7 @@ use fieldbeat::telemetry::Numbers;
 use fieldbeat::time::Time;
 use fieldbeat::{CyclePlan, Flow, Plan};
 use fieldbeat_core::cycle::engine::{Control, Engine};
+use fieldbeat_core::cycle::ring::Kept;
 use fieldbeat_core::net::SendMode;
 use fieldbeat_core::rt::{Clock, PollSet};
 use fieldbeat_master::{Assembly, assemble};
@@ -96,7 +97,7 @@ impl Machine {
         let clock = FusedClock { clock: world.clock(), left, panics };
         let control = Control::default();
         let Assembly { mut engine, axes, .. } =
-            assemble(plan, clock.clone(), &world, None, control.clone()).unwrap();
+            assemble(plan, clock.clone(), &world, None, control.clone(), Kept::default()).unwrap();
         engine.begin();
         (Machine { engine, axes, buses: Vec::new(), clock, control }, world)
     }

@@ -12,10 +12,11 @@ use fieldbeat::time::{MS, US};
 use fieldbeat::{CyclePlan, Plan};
 use fieldbeat_core::axis::feedback::MONITOR_CHANNELS;
 use fieldbeat_core::cycle::engine::Control;
-use fieldbeat_core::cycle::record::{CommandRecord, Record, Reply};
+use fieldbeat_core::cycle::record::{Record, Reply};
+use fieldbeat_core::cycle::ring::{Kept, RecordReader};
 use fieldbeat_linudp::upid::Upid;
 use fieldbeat_master::{Assembly, assemble};
-use rtrb::Consumer;
+use fieldbeat_telemetry::TelemetryThread;
 
 use super::support::{Rig, drive, simulated};
 
@@ -49,11 +50,11 @@ fn drives() -> Simulated {
 }
 
 /// A machine whose sleeps are disturbed too; `telemetry` may take the records after each step.
-fn run(plan: &Plan, mut telemetry: impl FnMut(&mut Consumer<Record>)) -> Numbers {
+fn run(plan: &Plan, mut telemetry: impl FnMut(&mut RecordReader)) -> Numbers {
     let options = WorldOptions { seed: 7, wake_ns: 260 * US, ..WorldOptions::default() };
     let world = World::new(drives(), options).unwrap();
     let Assembly { mut engine, mut records, .. } =
-        assemble(plan, world.clock(), &world, None, Control::default()).unwrap();
+        assemble(plan, world.clock(), &world, None, Control::default(), Kept::default()).unwrap();
     engine.begin();
     while engine.status().planned < CYCLES {
         engine.step();
@@ -63,8 +64,8 @@ fn run(plan: &Plan, mut telemetry: impl FnMut(&mut Consumer<Record>)) -> Numbers
 }
 
 /// All that `records` holds.
-fn reported(records: &mut Consumer<Record>) -> impl Iterator<Item = Record> {
-    std::iter::from_fn(|| records.pop().ok())
+fn reported(records: &mut RecordReader) -> impl Iterator<Item = Record> {
+    std::iter::from_fn(|| records.pop())
 }
 
 fn cycle() -> CyclePlan {
@@ -128,7 +129,7 @@ fn each_drive_has_a_record_in_each_cycle_and_its_cycle_comes_last() {
     let plan = Plan { cycle: cycle(), buses: vec![Box::new(bus)], ..Plan::default() };
     let world = World::new(drives(), WorldOptions::default()).unwrap();
     let Assembly { mut engine, mut records, .. } =
-        assemble(&plan, world.clock(), &world, None, Control::default()).unwrap();
+        assemble(&plan, world.clock(), &world, None, Control::default(), Kept::default()).unwrap();
     engine.begin();
     for index in 0..50 {
         engine.step();
@@ -192,10 +193,8 @@ fn only_drives_that_show_something_besides_take_room() {
     let without = Plan { buses: vec![Box::new(bus)], ..plan() };
     assert_eq!(without.records_a_cycle(), 3 + 1);
     for (plan, records) in [(with, 5), (without, 4)] {
-        let world = World::new(drives(), WorldOptions::default()).unwrap();
-        let Assembly { records: ring, .. } =
-            assemble(&plan, world.clock(), &world, None, Control::default()).unwrap();
-        assert_eq!((ring.buffer().capacity(), plan.black_box_records()), (records * 1_000, records * 2_000));
+        let room = TelemetryThread::ring_size(plan.records_a_cycle(), plan.cycle.period_ns);
+        assert_eq!((room, plan.black_box_records()), (records * 1_000, records * 2_000));
     }
 }
 
@@ -203,9 +202,10 @@ fn only_drives_that_show_something_besides_take_room() {
 fn notes(records: impl Iterator<Item = Record>) -> Vec<(u64, String)> {
     records
         .filter_map(|record| match record {
-            Record::Command(CommandRecord { index, axis, group, step, id, command }) => {
-                let group = group.map_or(String::new(), |lead| format!(" in the group of {lead}"));
-                Some((index, format!("{axis}: {} {} {step}{group}", command.name(), id.0)))
+            Record::Command(of) => {
+                let group = of.group().map_or(String::new(), |lead| format!(" in the group of {lead}"));
+                let text = format!("{}: {} {} {}{group}", of.axis(), of.command().name(), of.id.0, of.step());
+                Some((of.index, text))
             }
             Record::Event(event) => match event.kind().unwrap() {
                 EventKind::Ended { id, command, outcome } => {

@@ -52,16 +52,14 @@ fn pass(record: &mut Record, bytes: &mut Bytes<'_>) -> Option<()> {
                 None => None,
                 Some(place) => Some(*StopCause::ALL.get(place)?),
             };
-            bytes.flags([&mut d.moving, &mut d.sto_open, &mut d.was_online])?;
+            let (mut moving, mut sto_open, mut was_online) = (d.moving(), d.sto_open(), d.was_online());
+            bytes.flags([&mut moving, &mut sto_open, &mut was_online])?;
+            d.flags = fieldbeat_core::cycle::record::DriveFlags::new(moving, sto_open, was_online);
             bytes.all(&mut [&mut 0_u8, &mut d.index])?;
             bytes.wide(&mut d.axis)?;
             bytes.all(&mut [&mut d.phase_ns, &mut d.jitter_ns, &mut d.rtt_ns, &mut d.age_ns])?;
             bytes.all(&mut [&mut d.fault, &mut d.warning, &mut d.current, &mut d.velocity])?;
             bytes.all(&mut [&mut d.position, &mut d.demand])?;
-            let (mut is_reported, mut emergency) = (d.emergency.is_some(), d.emergency().unwrap_or_default());
-            bytes.all(&mut [&mut emergency.code, &mut emergency.register])?;
-            bytes.flags([&mut is_reported])?;
-            d.emergency = is_reported.then(|| emergency.into());
         }
         Record::Cycle(c) => {
             let (mut is_known, mut look) = (c.look.is_some(), c.look.unwrap_or_default());

@@ -14,6 +14,7 @@ use super::units::RangeError;
 
 /// The id of one accepted command of one axis. Ids grow by one; 0 is never used.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[repr(transparent)]
 pub struct CommandId(pub u64);
 
 /// Ids of commands from the in-loop task have this bit, so that they never collide with those of an
@@ -477,7 +478,7 @@ pub(crate) mod tests {
     use super::*;
 
     /// One of each verb, with its name.
-    pub(in crate::axis) fn all() -> [(Command, &'static str); 13] {
+    pub(crate) fn all() -> [(Command, &'static str); 13] {
         let profile = Profile { velocity: 1.0, acceleration: 2.0, deceleration: 3.0 };
         [
             (Command::Enable, "enable"),

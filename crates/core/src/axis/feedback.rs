@@ -1,6 +1,7 @@
 //! What a drive reported last, in user units.
 
 use std::fmt;
+use std::mem::offset_of;
 
 use super::cell::{Packed, Writer};
 use crate::named;
@@ -306,6 +307,7 @@ pub const MONITOR_CHANNELS: usize = 4;
 
 /// The monitored values in compact form: the values, and a bit for each channel that has one.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[repr(C)]
 pub struct Shown {
     mask: u8,
     values: [f64; MONITOR_CHANNELS],
@@ -318,6 +320,10 @@ impl From<[Option<f64>; MONITOR_CHANNELS]> for Shown {
 }
 
 impl Shown {
+    /// Where its fields are in its bytes.
+    pub(crate) const MASK_AT: usize = offset_of!(Shown, mask);
+    pub(crate) const VALUES_AT: usize = offset_of!(Shown, values);
+
     /// A bit for each channel that has a value, the first one the lowest.
     #[inline]
     pub(crate) fn mask([a, b, c, d]: &[Option<f64>; MONITOR_CHANNELS]) -> u8 {

@@ -20,7 +20,6 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU8, Ordering, fence};
 
 use crossbeam::utils::CachePadded;
-use rtrb::Producer;
 
 use self::native::{Moment, Natives};
 pub use self::panics::LoopPanic;
@@ -30,6 +29,7 @@ use super::heartbeat::Heartbeat;
 use super::plan::{CyclePlan, Guard, Overrun};
 use super::record::{CycleRecord, Record, SkippedRecord, Stage, short};
 use super::reference::Reference;
+use super::ring::RecordWriter;
 use super::skips::Skips;
 use super::status::{AxisInfo, DriveNumbers, Numbers, Status};
 use super::task::Task;
@@ -91,7 +91,7 @@ pub struct Channels {
     /// The axes that it has given something.
     pub bells: Bells,
     /// Records to the telemetry thread.
-    pub records: Producer<Record>,
+    pub records: RecordWriter,
     /// The numbers of the loop, newest only.
     pub status: Writer<Status>,
     /// All that it takes from outside.

@@ -14,6 +14,7 @@
 //! | `watch` | whether the loop's cycle ends |
 //! | `task` | the application's code inside the cycle |
 //! | `status`, `record` | what the loop counts, and its records for the telemetry |
+//! | `ring`, `stored` | the memory of these records, which outlives the process, and how it is read then |
 //!
 //! The loop knows the [`Bus`](crate::bus::Bus) contract and the drive machine ([`drive`](crate::drive)); no protocol,
 //! and no motion.
@@ -32,8 +33,10 @@ mod phase_lock;
 pub mod plan;
 pub mod record;
 mod reference;
+pub mod ring;
 pub mod skips;
 pub mod status;
+pub mod stored;
 pub mod task;
 pub mod watch;
 pub mod window;

@@ -6,9 +6,11 @@ mod event;
 use std::num::NonZeroU32;
 
 pub use self::event::EventRecord;
+pub(crate) use self::event::What;
 use crate::axis::units::way;
-use crate::axis::{Command, CommandId, Emergency, Feedback, Link, QueuedCommand, Shown, State, StopCause};
+use crate::axis::{Command, CommandId, Feedback, Link, QueuedCommand, Shown, State, StopCause};
 use crate::named;
+use crate::packed::Part as _;
 
 named! {
     /// The result of a drive's exchange in a cycle.
@@ -49,27 +51,18 @@ impl Reply {
 
 /// One drive in an executed cycle, as it was published.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[repr(C)]
 pub struct DriveRecord {
     /// The slot.
     pub index: u64,
-    /// The axis, in the order of the plan.
-    pub axis: u16,
-    /// The exchange.
-    pub reply: Reply,
-    /// The link as evaluated.
-    pub link: Link,
-    /// The link was up before that.
-    pub was_online: bool,
-    /// State of the drive.
-    pub state: State,
-    /// The latch.
-    pub stopped: Option<StopCause>,
-    /// The command that runs, as [`Command::code`](crate::axis::Command::code); 0 = none.
-    pub command: u8,
-    /// Moving, as the drive reports it.
-    pub moving: bool,
-    /// The drive's hardware enable (STO) is missing.
-    pub sto_open: bool,
+    /// Actual position, user units.
+    pub position: f64,
+    /// Demand position, user units.
+    pub demand: f64,
+    /// Actual velocity, user units/s.
+    pub velocity: f32,
+    /// Motor current, A.
+    pub current: f32,
     /// The request left so long after the grid point, ns; `None` = none left in this cycle.
     pub phase_ns: Option<NonZeroU32>,
     /// Difference between the distance to its request before and that of their grid points, ns.
@@ -82,16 +75,38 @@ pub struct DriveRecord {
     pub fault: u32,
     /// Warning word, 0 = none.
     pub warning: u32,
-    /// The emergency that it reported in this cycle.
-    pub emergency: Option<ShortEmergency>,
-    /// Motor current, A.
-    pub current: f32,
-    /// Actual velocity, user units/s.
-    pub velocity: f32,
-    /// Actual position, user units.
-    pub position: f64,
-    /// Demand position, user units.
-    pub demand: f64,
+    /// The axis, in the order of the plan.
+    pub axis: u16,
+    /// The exchange.
+    pub reply: Reply,
+    /// The link as evaluated.
+    pub link: Link,
+    /// State of the drive.
+    pub state: State,
+    /// The latch.
+    pub stopped: Option<StopCause>,
+    /// The command that runs, as [`Command::code`](crate::axis::Command::code); 0 = none.
+    pub command: u8,
+    /// What is true of it.
+    pub flags: DriveFlags,
+}
+
+/// What is true of a drive in a cycle.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[repr(transparent)]
+pub struct DriveFlags(u8);
+
+impl DriveFlags {
+    /// All of them; see [`DriveRecord`].
+    #[inline]
+    pub fn new(moving: bool, sto_open: bool, was_online: bool) -> DriveFlags {
+        DriveFlags(u8::from(moving) | u8::from(sto_open) << 1 | u8::from(was_online) << 2)
+    }
+
+    /// Those of a byte; `None` if a bit of it means nothing.
+    pub(crate) fn of(bits: u8) -> Option<DriveFlags> {
+        (bits < 8).then_some(DriveFlags(bits))
+    }
 }
 
 /// What a cycle has measured of a drive, as in its [`DriveRecord`].
@@ -99,7 +114,6 @@ pub struct DriveRecord {
 pub(crate) struct Measured {
     pub reply: Reply,
     pub was_online: bool,
-    pub emergency: Option<ShortEmergency>,
     pub phase_ns: Option<NonZeroU32>,
     pub jitter_ns: Option<NonZeroU32>,
     pub rtt_ns: Option<NonZeroU32>,
@@ -108,24 +122,22 @@ pub(crate) struct Measured {
     pub noted: bool,
 }
 
-/// An emergency in compact form.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct ShortEmergency([u8; 2], u8);
-
-impl From<Emergency> for ShortEmergency {
-    fn from(Emergency { code, register }: Emergency) -> ShortEmergency {
-        ShortEmergency(code.to_le_bytes(), register)
-    }
-}
-
-#[doc(hidden)]
-impl From<ShortEmergency> for Emergency {
-    fn from(ShortEmergency(code, register): ShortEmergency) -> Emergency {
-        Emergency { code: u16::from_le_bytes(code), register }
-    }
-}
-
 impl DriveRecord {
+    /// Moving, as the drive reports it.
+    pub fn moving(&self) -> bool {
+        self.flags.0 & 1 != 0
+    }
+
+    /// The drive's hardware enable (STO) is missing.
+    pub fn sto_open(&self) -> bool {
+        self.flags.0 & 2 != 0
+    }
+
+    /// The link was up before it was evaluated.
+    pub fn was_online(&self) -> bool {
+        self.flags.0 & 4 != 0
+    }
+
     /// A value of a drive that has not answered yet is none.
     pub fn reported(&self, value: f64) -> f64 {
         if self.link == Link::Unseen { f64::NAN } else { value }
@@ -141,40 +153,33 @@ impl DriveRecord {
     #[inline]
     pub(crate) fn new(axis: u16, command: u8, measured: Measured, feedback: &Feedback) -> DriveRecord {
         let Feedback { cycle, link, stopped, ref status, .. } = *feedback;
-        let Measured { reply, was_online, emergency, phase_ns, jitter_ns, rtt_ns, age_ns, .. } = measured;
+        let Measured { reply, was_online, phase_ns, jitter_ns, rtt_ns, age_ns, .. } = measured;
         DriveRecord {
             index: cycle,
-            axis,
-            reply,
-            link,
-            was_online,
-            state: status.state,
-            stopped,
-            command,
-            moving: status.moving,
-            sto_open: status.sto_open,
+            position: status.position,
+            demand: status.demand,
+            velocity: status.velocity as f32,
+            current: status.current as f32,
             phase_ns,
             jitter_ns,
             rtt_ns,
             age_ns,
             fault: status.fault,
             warning: status.warning,
-            emergency,
-            current: status.current as f32,
-            velocity: status.velocity as f32,
-            position: status.position,
-            demand: status.demand,
+            axis,
+            reply,
+            link,
+            state: status.state,
+            stopped,
+            command,
+            flags: DriveFlags::new(status.moving, status.sto_open, was_online),
         }
-    }
-
-    /// The emergency that it reported in this cycle.
-    pub fn emergency(&self) -> Option<Emergency> {
-        self.emergency.map(Emergency::from)
     }
 }
 
 /// The monitored variables of a drive, in the units of the plan: only of cycles in which it reported some.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[repr(C)]
 pub struct MonitorRecord {
     /// The slot.
     pub index: u64,
@@ -198,28 +203,49 @@ named! {
 }
 
 /// A command that the loop has taken, or that begins. Its end is an event.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[repr(C)]
 pub struct CommandRecord {
     /// The slot.
     pub index: u64,
-    /// The axis, in the order of the plan.
-    pub axis: u16,
-    /// Of a command to a group: the first axis of it.
-    pub group: Option<u16>,
-    /// Where it is.
-    pub step: CommandStep,
     /// Its id.
     pub id: CommandId,
-    /// The command.
-    pub command: Command,
+    /// The command. Its first word is its code, which is in the lowest byte; above it the step, a byte, whether it is
+    /// one to a group, a byte, and two axes.
+    pub(crate) words: [u64; Command::WORDS],
 }
 
 impl CommandRecord {
     /// Of a command in a slot that is still to be named.
     pub fn new(step: CommandStep, queued: &QueuedCommand) -> CommandRecord {
-        let QueuedCommand { id, member, command, call, .. } = *queued;
-        let group = call.map(|call| call.lead as u16);
-        CommandRecord { index: 0, axis: member as u16, group, step, id, command }
+        let mut words = [0; Command::WORDS];
+        queued.command.put(&mut words);
+        let group = queued.call.map_or(0, |call| 1 << 16 | u64::from(call.lead as u16) << 48);
+        words[0] |= (step as u64) << 8 | group | u64::from(queued.member as u16) << 32;
+        CommandRecord { index: 0, id: queued.id, words }
+    }
+
+    /// The axis, in the order of the plan.
+    pub fn axis(&self) -> u16 {
+        (self.words[0] >> 32) as u16
+    }
+
+    /// Of a command to a group: the first axis of it.
+    pub fn group(&self) -> Option<u16> {
+        (self.words[0] >> 16 & 1 != 0).then_some((self.words[0] >> 48) as u16)
+    }
+
+    /// Where it is.
+    pub fn step(&self) -> CommandStep {
+        if self.words[0] >> 8 & 1 == 0 { CommandStep::Taken } else { CommandStep::Begun }
+    }
+
+    /// The command.
+    pub fn command(&self) -> Command {
+        let [head, others @ ..] = self.words;
+        let mut words = [u64::from(head as u8); Command::WORDS];
+        words[1..].copy_from_slice(&others);
+        Command::take(&words)
     }
 }
 
@@ -264,7 +290,8 @@ mod tests {
         let shown = DriveRecord::new(3, 5, measures, &feedback);
         assert_eq!((shown.index, shown.axis, shown.rtt_ns), (7, 3, NonZeroU32::new(1)));
         assert_eq!((shown.link, shown.command), (Link::Online, 5));
-        assert_eq!((shown.state, shown.moving, shown.sto_open), (State::Fault, true, true));
+        assert_eq!((shown.state, shown.moving(), shown.sto_open()), (State::Fault, true, true));
+        assert!(!shown.was_online());
         assert_eq!((shown.fault, shown.warning), (1, 2));
         assert_eq!((shown.current, shown.velocity, shown.position, shown.demand), (0.25, 0.5, 3.0, 4.0));
         assert_eq!(measured(u64::MAX), NonZeroU32::new(u32::MAX));

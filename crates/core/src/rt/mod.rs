@@ -5,6 +5,7 @@
 //! | `clock` | now, absolute sleep, wait for descriptors; the seam to virtual time |
 //! | `guard` | how long before a grid point the loop wakes to spin up to it |
 //! | `host` | facts about this host, for the summary |
+//! | `mapping` | memory that outlives its process |
 //! | `memory` | memory that is present before the loop starts and locked while it runs |
 //! | `rights` | limits and capabilities, and the messages for those that are missing |
 //! | `thread` | what the loop's thread does to itself at the start |
@@ -15,6 +16,7 @@
 pub mod clock;
 pub mod guard;
 pub mod host;
+pub mod mapping;
 pub mod memory;
 pub mod rights;
 #[cfg(test)]
@@ -26,6 +28,7 @@ mod wires;
 
 pub use clock::{Clock, MonotonicClock, PollSet};
 pub use guard::GuardTuner;
+pub use mapping::Mapping;
 pub use memory::{Regions, deque, ring};
 pub use rights::Denied;
 pub use thread::{Granted, RealtimeError, RealtimePlan};

@@ -15,8 +15,8 @@ use fieldbeat_core::axis::{
 };
 use fieldbeat_core::cycle::Plan;
 use fieldbeat_core::cycle::record::{
-    CycleRecord, DriveRecord, EventRecord, MonitorRecord, Record, ReferenceRecord, Reply, SkippedRecord,
-    Stage, short,
+    CycleRecord, DriveFlags, DriveRecord, EventRecord, MonitorRecord, Record, ReferenceRecord, Reply,
+    SkippedRecord, Stage, short,
 };
 use fieldbeat_core::rt::host;
 use fieldbeat_core::time::Time;
@@ -304,7 +304,7 @@ fn drive(entry: &Entry, index: u64, axis: u16) -> Result<DriveRecord, Wrong> {
             Some(place) => StopCause::ALL.get(place).copied().map(Some),
         })?,
         command: meant(entry, "command", |code| Command::NAMES.get(code).map(|_| code as u8))?,
-        sto_open: entry.number("sto_open") != 0,
+        flags: DriveFlags::new(entry.number("moving") != 0, entry.number("sto_open") != 0, false),
         phase_ns: ns("sent_after_ns"),
         jitter_ns: ns("send_jitter_ns"),
         rtt_ns: ns("rtt_ns"),
@@ -345,7 +345,7 @@ mod tests {
         let axis = |name: &str| AxisAbout {
             name: name.into(),
             about: of_axis("mm", "linudp"),
-            faults: Some(|code| (code == 0x4310).then_some("too hot")),
+            faults: Faults::Known(|code| (code == 0x4310).then_some("too hot")),
             ..AxisAbout::default()
         };
         let channel = |name: &str, unit: &str| Some((name.into(), unit.into()));
@@ -367,7 +367,7 @@ mod tests {
                 state: State::Fault,
                 stopped: Some(StopCause::GroupFailed),
                 command: 12,
-                sto_open: true,
+                flags: DriveFlags::new(false, true, false),
                 phase_ns: measured(1),
                 rtt_ns: measured(u64::MAX),
                 age_ns: measured(4),

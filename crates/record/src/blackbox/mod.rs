@@ -5,13 +5,15 @@
 //! | `mod` | what is kept, and when it is written |
 //! | `file` | what a file says, read |
 //! | `list` | the files of a directory |
+//! | `left` | what a program that was killed has left in memory |
 //! | `events` | what led up to it, in words |
 //!
-//! It is fed by the telemetry thread, so that the loop pays nothing for it. A file is written by a thread of its own: a
-//! slow disk holds up nobody.
+//! The records stay in the memory in which the loop has written them, which outlives the program; the loop pays nothing
+//! for that. A file is written by a thread of its own: a slow disk holds up nobody.
 
 pub mod events;
 pub mod file;
+pub mod left;
 pub mod list;
 
 use std::collections::VecDeque;
@@ -20,12 +22,14 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 pub use self::file::header;
+use self::left::About;
 use crate::failures::Failures;
 use crate::file::save;
 use crate::recording::machine::{Machine, WRITTEN};
 use crate::recording::newest::{AFTERMATH_NS, Due, Newest, encode};
 use fieldbeat_core::cycle::Plan;
-use fieldbeat_core::cycle::record::{DriveRecord, Record};
+use fieldbeat_core::cycle::record::Record;
+use fieldbeat_core::cycle::ring::RecordReader;
 use fieldbeat_core::rt::host;
 use fieldbeat_core::time::nanos;
 use fieldbeat_telemetry::thread::Keep;
@@ -47,7 +51,7 @@ const LOOK_EVERY: Duration = Duration::from_millis(2);
 pub struct BlackBox {
     directory: PathBuf,
     newest: Newest,
-    room: usize,
+    kept: usize,
     aftermath: u64,
     /// Cycles that it holds.
     cycles: u64,
@@ -85,28 +89,21 @@ impl Writing {
     }
 }
 
-/// The codes in a record that its protocol may have names for.
-pub fn fault_codes(drive: &DriveRecord) -> impl Iterator<Item = u32> {
-    let reported = drive.emergency().map_or(0, |emergency| emergency.code.into());
-    [drive.fault, reported].into_iter().filter(|code| *code != 0)
-}
-
 impl BlackBox {
     /// A black box of `plan` whose files go to `directory`; `None` if the plan wants none.
     pub fn new(plan: &Plan, directory: &Path) -> Option<BlackBox> {
-        let room = plan.black_box_records();
-        if room == 0 {
+        let kept = plan.black_box_records();
+        if kept == 0 {
             return None;
         }
         let (kept_ns, period_ns) = (plan.cycle.black_box_ns, plan.cycle.period_ns.max(1));
         let aftermath = AFTERMATH_NS.min(kept_ns / 2) / period_ns;
         let machine = Machine::of(plan, env!("CARGO_PKG_VERSION"));
-        let mut newest = Newest::new(machine, Failures::of(plan), aftermath);
-        newest.records.reserve_exact(room);
         Some(BlackBox {
             directory: directory.to_owned(),
-            newest,
-            room,
+            newest: Newest::new(machine, Failures::of(plan), aftermath),
+            // Those of native process data are not written, and take none of the time.
+            kept: kept + (kept_ns / period_ns) as usize * plan.native_records_a_cycle(),
             aftermath,
             cycles: kept_ns / period_ns,
             written_to: None,
@@ -118,22 +115,11 @@ impl BlackBox {
         })
     }
 
-    /// Makes room: a file begins with a whole cycle.
-    fn drop_oldest(&mut self) {
-        let records = &mut self.newest.records;
-        let oldest = records.front().map(Record::index);
-        while oldest.is_some() && records.front().map(Record::index) == oldest {
-            records.pop_front();
-        }
-    }
-
-    fn start(&mut self, due: Due) {
+    fn start(&mut self, due: Due, ring: &RecordReader) {
         let now = SystemTime::now();
-        let stamp = humantime::format_rfc3339_seconds(now).to_string();
-        let name = due.file_name(&format!("fieldbeat-{}", stamp.replace([':', '-'], "")));
-        let path = self.directory.join(name);
-        let mut machine = self.newest.machine(&due);
-        machine.about.insert(WRITTEN.to_owned(), stamp);
+        let (path, written) = place(&self.directory, now, &due);
+        let mut machine = due.described(self.newest.machine.clone());
+        machine.about.insert(WRITTEN.to_owned(), written);
         self.files += 1;
         let mut written = Written {
             why: due.why,
@@ -154,7 +140,7 @@ impl BlackBox {
                 written.replaced = self.newest_files.pop_front();
             }
         }
-        let records: Vec<Record> = self.newest.records.iter().copied().collect();
+        let records = written_of(ring.kept(), self.kept);
         let (path, replaced) = (written.path.clone(), written.replaced.clone());
         let write = move || {
             if let Some(spare) = &replaced {
@@ -172,6 +158,24 @@ impl BlackBox {
     }
 }
 
+/// Where the file of `due` goes that is written at this time, and the time as it stands in it.
+fn place(directory: &Path, now: SystemTime, due: &Due) -> (PathBuf, String) {
+    let stamp = humantime::format_rfc3339_seconds(now).to_string();
+    let name = due.file_name(&format!("fieldbeat-{}", stamp.replace([':', '-'], "")));
+    (directory.join(name), stamp)
+}
+
+/// Those of the newest `kept` records that are written. Where they are cut, a whole cycle is the first.
+fn written_of<'a>(records: impl Iterator<Item = &'a Record>, kept: usize) -> Vec<Record> {
+    let mut records: Vec<Record> = records.copied().collect();
+    if records.len() >= kept {
+        let oldest = records[0].index();
+        records.drain(..records.iter().take_while(|record| record.index() == oldest).count());
+    }
+    records.retain(|record| !matches!(record, Record::Native(_)));
+    records
+}
+
 /// How much earlier than UTC the clock of the records is, which were taken down until now.
 fn utc_ns(now: SystemTime, records: &[Record]) -> i64 {
     let newest = records.iter().rev().find_map(|record| match record {
@@ -183,19 +187,20 @@ fn utc_ns(now: SystemTime, records: &[Record]) -> i64 {
 }
 
 impl Keep for BlackBox {
-    fn enter(&mut self, record: &Record) {
-        // Native process data would shorten the time that it has room for.
-        if matches!(record, Record::Native(_)) {
-            return;
-        }
-        if self.newest.records.len() >= self.room {
-            self.drop_oldest();
-        }
+    fn kept(&self) -> usize {
+        self.kept
+    }
+
+    fn about(&self) -> Vec<u8> {
+        About::new(&self.directory, &self.newest.machine).to_bytes()
+    }
+
+    fn enter(&mut self, record: &Record, ring: &RecordReader) {
         // Not before the newest file's end has left it: what follows closely upon a failure is in one file with it.
-        self.newest.enter(record, Some(self.written_to.map_or(0, |to| to + self.cycles)));
+        self.newest.look(record, Some(self.written_to.map_or(0, |to| to + self.cycles)));
         // At once: when the telemetry is late, the failure itself would leave the ring before it is written.
         if let Some(due) = self.newest.take_due(false) {
-            self.start(due);
+            self.start(due, ring);
         }
     }
 
@@ -210,9 +215,9 @@ impl Keep for BlackBox {
         }
     }
 
-    fn write(&mut self, last: bool) -> Vec<Written> {
+    fn write(&mut self, last: bool, ring: &RecordReader) -> Vec<Written> {
         if last && let Some(due) = self.newest.take_due(true) {
-            self.start(due);
+            self.start(due, ring);
         }
         let begun = Instant::now();
         let is_under_way = |writing: &Writing| !writing.thread.is_finished();

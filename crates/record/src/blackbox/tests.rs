@@ -2,7 +2,9 @@ use super::file::Channel;
 use super::*;
 use fieldbeat_core::axis::{EventKind, Link, StopCause};
 use fieldbeat_core::cycle::CyclePlan;
-use fieldbeat_core::cycle::record::{CycleRecord, EventRecord, MonitorRecord};
+use fieldbeat_core::cycle::record::{CycleRecord, DriveRecord, EventRecord, MonitorRecord};
+use fieldbeat_core::cycle::ring::{self, Kept, RecordWriter};
+use fieldbeat_core::rt::Regions;
 use fieldbeat_core::time::MS;
 use fieldbeat_linudp::upid::Upid;
 use fieldbeat_linudp::{LinUdpDrive, LinUdpPlan, MonitorPlan};
@@ -17,20 +19,46 @@ fn plan(black_box_ns: u64) -> Plan {
     }
 }
 
-fn cycle(black_box: &mut BlackBox, index: u64, change: impl Fn(&mut DriveRecord)) {
-    for axis in 0..2 {
-        let mut drive = DriveRecord { index, axis, link: Link::Online, ..DriveRecord::default() };
-        change(&mut drive);
-        black_box.enter(&Record::Drive(drive));
+/// A black box and the ring that it looks at.
+struct Fed {
+    black_box: BlackBox,
+    loops: RecordWriter,
+    ring: RecordReader,
+}
+
+impl Fed {
+    fn new(plan: &Plan, directory: &Path) -> Fed {
+        let black_box = BlackBox::new(plan, directory).unwrap();
+        let kept = Kept { records: black_box.kept(), about: None };
+        let (loops, ring, _) = ring::records(1, kept, &mut Regions::new());
+        Fed { black_box, loops, ring }
     }
-    black_box.enter(&Record::Cycle(CycleRecord { index, ..CycleRecord::default() }));
+
+    fn enter(&mut self, record: Record) {
+        assert!(self.loops.push(record));
+        self.black_box.enter(self.ring.next().unwrap(), &self.ring);
+        self.ring.release();
+    }
+
+    fn write(&mut self, last: bool) -> Vec<Written> {
+        self.black_box.write(last, &self.ring)
+    }
+
+    fn cycle(&mut self, index: u64, change: impl Fn(&mut DriveRecord)) {
+        for axis in 0..2 {
+            let mut drive = DriveRecord { index, axis, link: Link::Online, ..DriveRecord::default() };
+            change(&mut drive);
+            self.enter(Record::Drive(drive));
+        }
+        self.enter(Record::Cycle(CycleRecord { index, ..CycleRecord::default() }));
+    }
 }
 
 #[test]
 fn a_failure_is_written_once_with_its_aftermath() {
     let directory = tempfile::tempdir().unwrap();
-    let mut black_box = BlackBox::new(&plan(100 * MS), directory.path()).unwrap();
-    (0..500).for_each(|index| cycle(&mut black_box, index, |_| {}));
+    let mut black_box = Fed::new(&plan(100 * MS), directory.path());
+    (0..500).for_each(|index| black_box.cycle(index, |_| {}));
     let fail = |drive: &mut DriveRecord| {
         if drive.axis == 1 {
             (drive.fault, drive.stopped) = (0x0B, Some(StopCause::DriveFault));
@@ -39,13 +67,13 @@ fn a_failure_is_written_once_with_its_aftermath() {
     let event = EventRecord::new(500, 1, EventKind::Fault(0x0B), None);
     for index in 500..550 {
         if index == 501 {
-            black_box.enter(&Record::Event(event));
+            black_box.enter(Record::Event(event));
         }
-        cycle(&mut black_box, index, fail);
+        black_box.cycle(index, fail);
         assert_eq!(black_box.write(false), []);
     }
     // The telemetry is late and takes many cycles at once: what the file is about has not left it.
-    (550..700).for_each(|index| cycle(&mut black_box, index, fail));
+    (550..700).for_each(|index| black_box.cycle(index, fail));
     assert_eq!(black_box.write(true).len(), 1);
     let files: Vec<_> = std::fs::read_dir(directory.path()).unwrap().collect();
     let path = files[0].as_ref().unwrap().path();
@@ -67,19 +95,19 @@ fn what_a_drive_shows_besides_comes_back_from_the_file() {
     showing.monitor = MonitorPlan::Sources([None, Some(Upid(0x1BCD)), Some(Upid(0x1E0F)), None]);
     let mut plan = plan(100 * MS);
     plan.buses.insert(0, Box::new(LinUdpPlan::new([127, 0, 1, 1].into(), vec![showing])));
-    let mut black_box = BlackBox::new(&plan, directory.path()).unwrap();
+    let mut black_box = Fed::new(&plan, directory.path());
     for index in 0..300 {
         for axis in 0..3 {
             let drive = DriveRecord { index, axis, link: Link::Online, ..DriveRecord::default() };
-            black_box.enter(&Record::Drive(drive));
+            black_box.enter(Record::Drive(drive));
             if axis == 0 && index % 2 == 0 {
                 let shown = [None, Some(40.5), Some(index as f64 - 250.0), None].into();
-                black_box.enter(&Record::Monitor(MonitorRecord { index, axis, shown }));
+                black_box.enter(Record::Monitor(MonitorRecord { index, axis, shown }));
             }
         }
-        black_box.enter(&Record::Cycle(CycleRecord { index, ..CycleRecord::default() }));
+        black_box.enter(Record::Cycle(CycleRecord { index, ..CycleRecord::default() }));
     }
-    black_box.request();
+    black_box.black_box.request();
     let [written] = &black_box.write(true)[..] else { panic!() };
     let (header, records) = file::load(&written.path).unwrap();
     let channel = |name: &str, unit: &str| Some(Channel { name: name.into(), unit: unit.into() });
@@ -107,10 +135,10 @@ fn what_a_drive_shows_besides_comes_back_from_the_file() {
 #[test]
 fn a_failure_comes_before_a_request() {
     let directory = tempfile::tempdir().unwrap();
-    let mut black_box = BlackBox::new(&plan(100 * MS), directory.path()).unwrap();
-    (0..10).for_each(|index| cycle(&mut black_box, index, |_| {}));
-    black_box.request();
-    (10..200).for_each(|index| cycle(&mut black_box, index, |drive| drive.fault = 5));
+    let mut black_box = Fed::new(&plan(100 * MS), directory.path());
+    (0..10).for_each(|index| black_box.cycle(index, |_| {}));
+    black_box.black_box.request();
+    (10..200).for_each(|index| black_box.cycle(index, |drive| drive.fault = 5));
     let [written] = &black_box.write(true)[..] else { panic!() };
     assert_eq!(
         (written.why.as_str(), written.cycle),
@@ -121,16 +149,16 @@ fn a_failure_comes_before_a_request() {
 #[test]
 fn a_machine_that_fails_for_weeks_keeps_its_first_and_its_newest_files() {
     let directory = tempfile::tempdir().unwrap();
-    let mut black_box = BlackBox::new(&plan(100 * MS), directory.path()).unwrap();
+    let mut black_box = Fed::new(&plan(100 * MS), directory.path());
     let mut written = Vec::new();
     // A fault every ten cycles, at last none; then a request.
     for index in 0..4_400 {
-        cycle(&mut black_box, index, |drive| drive.fault = u32::from(index % 10 == 9 && index < 4_000));
+        black_box.cycle(index, |drive| drive.fault = u32::from(index % 10 == 9 && index < 4_000));
         if index == 4_200 {
-            black_box.request();
+            black_box.black_box.request();
         }
         // To the end of each, so that the order of the files is that of the failures.
-        while !black_box.writing.is_empty() {
+        while !black_box.black_box.writing.is_empty() {
             written.extend(black_box.write(false));
         }
     }
@@ -149,8 +177,8 @@ fn a_machine_that_fails_for_weeks_keeps_its_first_and_its_newest_files() {
 #[test]
 fn a_writer_that_hangs_or_panics_holds_up_no_end_and_is_a_failure() {
     let directory = tempfile::tempdir().unwrap();
-    let mut black_box = BlackBox::new(&plan(100 * MS), directory.path()).unwrap();
-    black_box.patience = Duration::from_millis(20);
+    let mut black_box = Fed::new(&plan(100 * MS), directory.path());
+    black_box.black_box.patience = Duration::from_millis(20);
     let (release, hangs) = std::sync::mpsc::channel::<()>();
     let written = |number| Written {
         why: "requested".into(),
@@ -163,7 +191,7 @@ fn a_writer_that_hangs_or_panics_holds_up_no_end_and_is_a_failure() {
     };
     let frozen = std::thread::spawn(move || hangs.recv().err().map(|error| error.to_string()));
     let panics = std::thread::spawn(|| std::panic::resume_unwind(Box::new("on purpose")));
-    black_box.writing = vec![
+    black_box.black_box.writing = vec![
         Writing { written: written(1), thread: frozen },
         Writing { written: written(2), thread: panics },
     ];
@@ -180,10 +208,9 @@ fn a_writer_that_hangs_or_panics_holds_up_no_end_and_is_a_failure() {
 fn a_run_that_the_program_itself_ended_has_a_file_and_no_second_one() {
     for failed_before in [false, true] {
         let directory = tempfile::tempdir().unwrap();
-        let mut black_box = BlackBox::new(&plan(100 * MS), directory.path()).unwrap();
-        (0..10)
-            .for_each(|index| cycle(&mut black_box, index, |drive| drive.fault = u32::from(failed_before)));
-        black_box.conclude("the loop panicked");
+        let mut black_box = Fed::new(&plan(100 * MS), directory.path());
+        (0..10).for_each(|index| black_box.cycle(index, |drive| drive.fault = u32::from(failed_before)));
+        black_box.black_box.conclude("the loop panicked");
         let [written] = &black_box.write(true)[..] else { panic!() };
         assert_eq!(written.why == "the loop panicked", !failed_before, "{written:?}");
     }

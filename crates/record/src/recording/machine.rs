@@ -2,6 +2,8 @@
 
 use std::collections::BTreeMap;
 
+use serde::{Deserialize, Serialize};
+
 use fieldbeat_core::axis::{FaultNames, MONITOR_CHANNELS};
 use fieldbeat_core::bus::facts::of_drives;
 use fieldbeat_core::bus::native::NativeLayout;
@@ -17,6 +19,9 @@ pub const END: &str = "fieldbeat end";
 /// The key of the version of the program.
 pub const PROGRAM: &str = "program";
 
+/// The key of the protocol of an axis.
+const PROTOCOL: &str = "protocol";
+
 /// The key of why a file was written.
 pub const WHY: &str = "why";
 
@@ -30,7 +35,7 @@ pub const WRITTEN: &str = "written";
 pub const FORMAT: &str = "1";
 
 /// A machine.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Machine {
     /// Metadata of the file.
     pub about: BTreeMap<String, String>,
@@ -41,7 +46,7 @@ pub struct Machine {
 }
 
 /// An axis.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct AxisAbout {
     /// Its name.
     pub name: String,
@@ -52,9 +57,43 @@ pub struct AxisAbout {
     /// Names and units of its monitored variables.
     pub monitor: [Option<(String, String)>; MONITOR_CHANNELS],
     /// What is known of its native process data, if they are recorded.
+    #[serde(skip)]
     pub native: Option<NativeLayout>,
     /// Names of the codes of its drive.
-    pub faults: Option<FaultNames>,
+    #[serde(skip)]
+    pub faults: Faults,
+}
+
+/// Names of the codes of a drive.
+#[derive(Clone, Debug)]
+pub enum Faults {
+    /// All that its protocol knows.
+    Known(FaultNames),
+    /// Those of a list.
+    Listed(BTreeMap<u32, String>),
+}
+
+impl AxisAbout {
+    /// The protocol of its drive.
+    pub fn protocol(&self) -> Option<&str> {
+        self.about.get(PROTOCOL).map(String::as_str)
+    }
+}
+
+impl Default for Faults {
+    fn default() -> Faults {
+        Faults::Listed(BTreeMap::new())
+    }
+}
+
+impl Faults {
+    /// The name of a code.
+    pub fn name(&self, code: u32) -> Option<String> {
+        match self {
+            Faults::Known(names) => names(code).map(str::to_owned),
+            Faults::Listed(names) => names.get(&code).cloned(),
+        }
+    }
 }
 
 impl Machine {
@@ -80,7 +119,7 @@ impl Machine {
             modulo: axis.units.modulo,
             monitor: drive.monitored.clone().map(|channel| channel.map(|of| (of.name, of.unit.to_owned()))),
             native: None,
-            faults: Some(bus.fault_names),
+            faults: Faults::Known(bus.fault_names),
         });
         let mut axes: Vec<AxisAbout> = axes.collect();
         for (axis, layout) in plan.native_layouts().into_iter().flatten() {
@@ -109,7 +148,7 @@ pub fn of_axis(unit: &str, protocol: &str) -> BTreeMap<String, String> {
         ("unit", unit.to_owned()),
         ("unit_velocity", format!("{unit}/s")),
         ("unit_current", "A".to_owned()),
-        ("protocol", protocol.to_owned()),
+        (PROTOCOL, protocol.to_owned()),
     ]
     .map(|(key, value)| (key.to_owned(), value))
     .into()

@@ -71,8 +71,8 @@ pub fn axis() -> Table<At<AxisRecord>> {
             ("link".into(), Get::Named(|at| at.of.drive.link as u32, &LINKS)),
             ("stopped".into(), Get::Named(|at| at.of.drive.stopped.map_or(0, |cause| cause as u32), &CAUSES)),
             ("command".into(), Get::Named(|at| at.of.drive.command.into(), &COMMANDS)),
-            ("moving".into(), Get::Bool(|at| at.of.drive.moving)),
-            ("sto_open".into(), Get::Bool(|at| at.of.drive.sto_open)),
+            ("moving".into(), Get::Bool(|at| at.of.drive.moving())),
+            ("sto_open".into(), Get::Bool(|at| at.of.drive.sto_open())),
             ("fault".into(), Get::U32(|at| at.of.drive.fault)),
             ("warning".into(), Get::U32(|at| at.of.drive.warning)),
             ("exchange".into(), Get::Named(|at| at.of.drive.reply as u32, &EXCHANGES)),
@@ -261,18 +261,18 @@ impl CommandText {
     }
 
     fn target(&self) -> f64 {
-        match self.record.command {
+        match self.record.command() {
             Command::Move(Move { target: Target::Absolute(to) | Target::Relative(to), .. }) => to,
             _ => f64::NAN,
         }
     }
 
     fn is_relative(&self) -> bool {
-        matches!(self.record.command, Command::Move(Move { target: Target::Relative(_), .. }))
+        matches!(self.record.command(), Command::Move(Move { target: Target::Relative(_), .. }))
     }
 
     fn velocity(&self) -> f64 {
-        match self.record.command {
+        match self.record.command() {
             Command::Move(Move { profile, .. }) => profile.velocity,
             Command::Jog(Jog { velocity, .. }) => velocity,
             _ => f64::NAN,
@@ -280,7 +280,7 @@ impl CommandText {
     }
 
     fn acceleration(&self) -> f64 {
-        match self.record.command {
+        match self.record.command() {
             Command::Move(Move { profile, .. }) => profile.acceleration,
             Command::Jog(Jog { acceleration, .. }) | Command::Velocity { acceleration } => acceleration,
             _ => f64::NAN,
@@ -288,7 +288,7 @@ impl CommandText {
     }
 
     fn deceleration(&self) -> f64 {
-        match self.record.command {
+        match self.record.command() {
             Command::Move(Move { profile, .. }) => profile.deceleration,
             Command::Stop { deceleration } => deceleration.unwrap_or(f64::NAN),
             _ => f64::NAN,
@@ -296,7 +296,7 @@ impl CommandText {
     }
 
     fn slope(&self) -> f64 {
-        if let Command::Torque { slope } = self.record.command { slope } else { f64::NAN }
+        if let Command::Torque { slope } = self.record.command() { slope } else { f64::NAN }
     }
 }
 
@@ -306,14 +306,14 @@ pub fn commands() -> Table<At<CommandText>> {
     table(
         "Command",
         vec![
-            ("axis".into(), Get::U32(|at| at.of.record.axis.into())),
+            ("axis".into(), Get::U32(|at| at.of.record.axis().into())),
             ("axis_name".into(), Get::Text(|at| &at.of.axis_name)),
             ("id".into(), Get::U64(|at| at.of.record.id.0)),
-            ("step".into(), Get::Named(|at| at.of.record.step as u32, &STEPS)),
-            ("command".into(), Get::U32(|at| at.of.record.command.code().into())),
-            ("command_name".into(), Get::Text(|at| at.of.record.command.name())),
-            ("in_group".into(), Get::Bool(|at| at.of.record.group.is_some())),
-            ("group_lead".into(), Get::U32(|at| at.of.record.group.unwrap_or(0).into())),
+            ("step".into(), Get::Named(|at| at.of.record.step() as u32, &STEPS)),
+            ("command".into(), Get::U32(|at| at.of.record.command().code().into())),
+            ("command_name".into(), Get::Text(|at| at.of.record.command().name())),
+            ("in_group".into(), Get::Bool(|at| at.of.record.group().is_some())),
+            ("group_lead".into(), Get::U32(|at| at.of.record.group().unwrap_or(0).into())),
             ("target".into(), Get::F64(|at| at.of.target())),
             ("relative".into(), Get::Bool(|at| at.of.is_relative())),
             ("velocity".into(), Get::F64(|at| at.of.velocity())),

@@ -1,6 +1,5 @@
-//! The newest records of a machine, in memory, and when they are to be written: when something fails, or on request.
+//! When the newest records of a machine are to be written: when something fails, or on request.
 
-use std::collections::VecDeque;
 use std::io;
 
 use super::machine::{CYCLE, Machine, WHY};
@@ -13,14 +12,13 @@ use fieldbeat_telemetry::causes::Judged;
 /// So much of what follows upon a failure is in its file: how the stop went.
 pub const AFTERMATH_NS: u64 = 200 * MS;
 
-/// The newest records of a machine.
+/// What is known of the newest records of a machine.
 #[derive(Debug)]
 pub struct Newest {
-    /// The records.
-    pub records: VecDeque<Record>,
     /// The newest cycle.
     pub cycle: u64,
-    machine: Machine,
+    /// The machine.
+    pub machine: Machine,
     failures: Failures,
     /// Cycles that follow upon a failure.
     aftermath: u64,
@@ -52,14 +50,13 @@ pub struct Encoded {
 }
 
 impl Newest {
-    /// Those of `machine`, with so many cycles of what follows upon one of its `failures`; none yet.
+    /// Of `machine`, with so many cycles of what follows upon one of its `failures`; none yet.
     pub fn new(machine: Machine, failures: Failures, aftermath: u64) -> Newest {
-        Newest { records: VecDeque::new(), cycle: 0, machine, failures, aftermath, due: None }
+        Newest { cycle: 0, machine, failures, aftermath, due: None }
     }
 
-    /// Takes a record in. A failure in it is written with what follows, not before cycle `earliest`; `None`: no more.
-    pub fn enter(&mut self, record: &Record, earliest: Option<u64>) {
-        self.records.push_back(*record);
+    /// Looks at a record. A failure in it is written with what follows, not before cycle `earliest`; `None`: no more.
+    pub fn look(&mut self, record: &Record, earliest: Option<u64>) {
         match record {
             Record::Drive(drive) => {
                 if let (Some(why), Some(earliest)) = (self.failures.see(drive), earliest) {
@@ -95,17 +92,16 @@ impl Newest {
     pub fn has_due(&self) -> bool {
         self.due.is_some()
     }
-
-    /// The machine as the file of `due` describes it.
-    pub fn machine(&self, due: &Due) -> Machine {
-        let mut machine = self.machine.clone();
-        let why = [(WHY, due.why.clone()), (CYCLE, due.cycle.to_string())];
-        machine.about.extend(why.map(|(key, value)| (key.to_owned(), value)));
-        machine
-    }
 }
 
 impl Due {
+    /// The machine as its file describes it.
+    pub fn described(&self, mut machine: Machine) -> Machine {
+        let why = [(WHY, self.why.clone()), (CYCLE, self.cycle.to_string())];
+        machine.about.extend(why.map(|(key, value)| (key.to_owned(), value)));
+        machine
+    }
+
     /// The name of its file, which begins with `stem`.
     pub fn file_name(&self, stem: &str) -> String {
         format!("{stem}-cycle-{}.mcap", self.cycle)

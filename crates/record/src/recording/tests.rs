@@ -16,7 +16,8 @@ use super::window::Window;
 use super::writer::Writer;
 use crate::failures::Failures;
 use fieldbeat_core::axis::{
-    self, Command, CommandId, EventKind, Link, Move, Outcome, Profile, State, StopCause, Target,
+    self, Command, CommandId, EventKind, GroupCall, Link, Move, Outcome, Profile, QueuedCommand, State,
+    StopCause, Target,
 };
 use fieldbeat_core::bus::native::{NativeField, NativeLayout};
 use fieldbeat_core::cycle::record::{
@@ -74,8 +75,9 @@ fn records(cycles: u64) -> Vec<Record> {
     let id = CommandId(3);
     let profile = Profile { velocity: 10.0, acceleration: 20.0, deceleration: 30.0 };
     let command = Command::Move(Move { target: Target::Relative(-4.0), profile });
-    let step =
-        |index, step| Record::Command(CommandRecord { index, axis: 0, group: Some(0), step, id, command });
+    let call = Some(GroupCall { parts: 2, together: 2, lead: 0, id });
+    let queued = QueuedCommand { id, member: 0, command, stream: 0, call };
+    let step = |index, step| Record::Command(CommandRecord { index, ..CommandRecord::new(step, &queued) });
     let failure = axis::Failure::Limit { what: "position", value: 9.0, low: 0.0, high: 8.0 };
     let ended = EventKind::Ended { id, command: "move", outcome: Outcome::Failed(failure) };
     let mut records = Vec::new();

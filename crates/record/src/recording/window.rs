@@ -22,6 +22,7 @@ const BYTES_OF_MESSAGE: u64 = 100;
 pub struct Window {
     path: PathBuf,
     newest: Newest,
+    records: VecDeque<Record>,
     /// Its length.
     cycles: u64,
     judged: VecDeque<Judged>,
@@ -42,6 +43,7 @@ impl Window {
         Window {
             path,
             newest: Newest::new(machine, failures, aftermath),
+            records: VecDeque::new(),
             // A file of a failure is written after it, and has what led up to it all the same.
             cycles: cycles.saturating_add(aftermath),
             judged: VecDeque::new(),
@@ -57,7 +59,7 @@ impl Window {
     fn write(&mut self, path: PathBuf, due: &Due) {
         let mut recorded = Recorded::begin(path, due.why.clone());
         recorded.lost = self.gaps.iter().map(|(_, lost)| lost).sum();
-        let (machine, records) = (self.newest.machine(due), self.newest.records.iter());
+        let (machine, records) = (due.described(self.newest.machine.clone()), self.records.iter());
         let encoded = encode(machine, self.utc_ns, records, self.judged.iter(), recorded.lost);
         let written = encoded.and_then(|Encoded { bytes, messages, lost }| {
             (recorded.messages, recorded.lost) = (messages, lost);
@@ -88,11 +90,12 @@ impl Sink for Window {
     }
 
     fn enter(&mut self, record: &Record) {
-        self.newest.enter(record, (self.files_of_failures < MOST_FAILURES).then_some(0));
+        self.records.push_back(*record);
+        self.newest.look(record, (self.files_of_failures < MOST_FAILURES).then_some(0));
         if matches!(record, Record::Cycle(_) | Record::Skipped(_)) {
             let oldest = self.newest.cycle.saturating_sub(self.cycles);
-            while self.newest.records.front().is_some_and(|record| record.index() < oldest) {
-                self.newest.records.pop_front();
+            while self.records.front().is_some_and(|record| record.index() < oldest) {
+                self.records.pop_front();
             }
             while self.judged.front().is_some_and(|judged| judged.index < oldest) {
                 self.judged.pop_front();
@@ -123,7 +126,7 @@ impl Sink for Window {
 
     /// In two files, if a failure was the last thing to happen.
     fn holds(&self) -> u64 {
-        self.newest.records.len() as u64 * BYTES_OF_MESSAGE * if self.newest.has_due() { 2 } else { 1 }
+        self.records.len() as u64 * BYTES_OF_MESSAGE * if self.newest.has_due() { 2 } else { 1 }
     }
 
     fn finish(&mut self) -> Vec<Recorded> {

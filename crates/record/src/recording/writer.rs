@@ -268,7 +268,7 @@ impl<W: Write> Writer<W> {
             Record::Cycle(of) => self.cycle.send(out, utc_ns, &At { cycle, monotonic_ns, of }),
             Record::Skipped(of) => self.skipped.send(out, utc_ns, &At { cycle, monotonic_ns, of }),
             Record::Command(of) => {
-                let Some(axis) = self.machine.axes.get(usize::from(of.axis)) else { return Ok(()) };
+                let Some(axis) = self.machine.axes.get(usize::from(of.axis())) else { return Ok(()) };
                 let of = CommandText::new(&axis.name, of);
                 self.commands.send(out, utc_ns, &At { cycle, monotonic_ns, of })
             }
@@ -295,8 +295,7 @@ impl<W: Write> Writer<W> {
         let begun_by = event.begun_by();
         let of = begun_by.and_then(|by| self.machine.axes.get(usize::from(by.axis)));
         let begun_by = (begun_by, of.map(|axis| axis.name.as_str()));
-        let name_of = |code| axis.faults.and_then(|names| names(code)).map(str::to_owned);
-        Some(EventText::new(event.axis, &axis.name, &event.kind()?, begun_by, name_of))
+        Some(EventText::new(event.axis, &axis.name, &event.kind()?, begun_by, |code| axis.faults.name(code)))
     }
 
     /// Ends the chunk, unless the slot that comes next belongs to it.

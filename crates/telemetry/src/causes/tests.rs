@@ -1,7 +1,7 @@
 //! Each cause from what is seen of it, and nothing from what only looks like it.
 
 use super::*;
-use fieldbeat_core::cycle::record::short;
+use fieldbeat_core::cycle::record::{DriveFlags, short};
 use fieldbeat_core::time::{MS, US};
 
 /// A loop of 1 kHz, replies until its half, that is sampled every 5 ms and usually runs 50 us a cycle.
@@ -186,8 +186,8 @@ fn a_late_sleep_is_the_host_only_if_steal_rose_soon() {
 fn a_drive_is_named() {
     let mut one = Loop::new();
     let miss = |one: &mut Loop, axis, was_online| {
-        let reply = Reply::Missed;
-        let drive = DriveRecord { index: one.index, axis, reply, was_online, ..Default::default() };
+        let (reply, flags) = (Reply::Missed, DriveFlags::new(false, false, was_online));
+        let drive = DriveRecord { index: one.index, axis, reply, flags, ..Default::default() };
         one.causes.record(&Record::Drive(drive));
     };
     // A probe of one that never answered is no news.

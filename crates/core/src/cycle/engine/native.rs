@@ -1,12 +1,11 @@
 //! The native process data of the drives that are chosen for a recording: read back from their buses in the cycle in
 //! which they were received and sent, so that all other drives pay nothing for it.
 
-use rtrb::Producer;
-
 use super::Engine;
 use crate::bus::native::{NativeBytes, WantedOutputs};
 use crate::bus::{Cycle, Slot};
 use crate::cycle::record::{NativeRecord, Record, short};
+use crate::cycle::ring::RecordWriter;
 use crate::cycle::window::OpenBus;
 use crate::rt::{Clock, Regions};
 use crate::time::Time;
@@ -92,10 +91,8 @@ impl<C: Clock> Engine<C> {
 
 /// Puts records into the ring, `most` at most: they are built there. Returns how many were lost.
 #[inline]
-fn send(ring: &mut Producer<Record>, most: usize, mut records: impl Iterator<Item = Record>) -> u64 {
-    if let Ok(room) = ring.write_chunk_uninit(most.min(ring.slots())) {
-        room.fill_from_iter(records.by_ref());
-    }
+fn send(ring: &mut RecordWriter, most: usize, mut records: impl Iterator<Item = Record>) -> u64 {
+    ring.fill(0, records.by_ref().take(most));
     records.count() as u64
 }
 
@@ -176,10 +173,11 @@ const _: () = assert!(NativeBytes::MOST + NativeRecord::PART <= u16::MAX as usiz
 mod tests {
     use super::*;
     use crate::cycle::record::SkippedRecord;
+    use crate::cycle::ring::{self, Kept};
 
     #[test]
     fn a_ring_without_room_for_all_takes_what_fits_and_the_rest_is_lost() {
-        let (mut ring, mut records) = rtrb::RingBuffer::new(5);
+        let (mut ring, records, _) = ring::records(5, Kept::default(), &mut Regions::new());
         let of = |from: u64, count: u64| {
             (from..from + count).map(|first| Record::Skipped(SkippedRecord { first, ..Default::default() }))
         };
@@ -187,8 +185,7 @@ mod tests {
         // There is room for them, and not for as many as there may be.
         assert_eq!(send(&mut ring, 4, of(2, 2)), 0);
         assert_eq!(send(&mut ring, 4, of(4, 4)), 3);
-        let taken: Vec<u64> =
-            std::iter::from_fn(|| records.pop().ok()).map(|record| record.index()).collect();
+        let taken: Vec<u64> = std::iter::from_fn(|| records.next()).map(Record::index).collect();
         assert_eq!(taken, [0, 1, 2, 3, 4]);
     }
 }

@@ -10,7 +10,7 @@ use crate::rt::Clock;
 impl Channels {
     /// Sends a record to the telemetry, or counts it as lost.
     pub(super) fn record(&mut self, record: Record, lost: &mut u64) {
-        *lost += u64::from(self.records.push(record).is_err());
+        *lost += u64::from(!self.records.push(record));
     }
 
     /// Sends the commands that an axis has taken, and its events, to the telemetry. Returns how many events and samples
@@ -55,18 +55,12 @@ impl<C: Clock> Engine<C> {
     pub(super) fn publish(&mut self) {
         // The records are built in the ring, if each drive has one and there is room for all of them.
         let axes = self.controllers.len();
-        let room = if self.shows { None } else { self.channels.records.write_chunk_uninit(axes).ok() };
         let mut noted = false;
-        match room {
-            Some(room) => {
-                room.fill_from_iter(
-                    self.controllers
-                        .iter_mut()
-                        .enumerate()
-                        .map(|(axis, controller)| Record::Drive(controller.publish(axis as u16, &mut noted))),
-                );
-            }
-            None => noted = self.publish_each(),
+        let records = self.controllers.iter_mut().enumerate();
+        let records =
+            records.map(|(axis, controller)| Record::Drive(controller.publish(axis as u16, &mut noted)));
+        if self.shows || !self.channels.records.fill(axes, records) {
+            noted = self.publish_each();
         }
         if noted {
             self.publish_notes();

@@ -345,7 +345,6 @@ impl DriveController {
         if slot.notices.has_more()
             && let Some(emergency) = slot.notices.take_emergency()
         {
-            self.measured.emergency = Some(emergency.into());
             self.emit(cycle, now, EventKind::Emergency(emergency));
         }
     }

@@ -8,7 +8,8 @@ use crate::axis::{
 
 /// What has happened; the ends of commands by their outcome.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-enum What {
+#[repr(u8)]
+pub(crate) enum What {
     #[default]
     Link,
     State,
@@ -49,23 +50,32 @@ enum What {
     Dropped,
 }
 
+impl What {
+    /// That of a number in a record.
+    pub(crate) fn of(number: u8) -> Option<What> {
+        // SAFETY: numbered from 0 to the last one, each a byte.
+        (number <= What::Dropped as u8).then(|| unsafe { std::mem::transmute::<u8, What>(number) })
+    }
+}
+
 /// One event of one axis, in as few bytes as a record has. The numbers that its code does not need are 0.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[repr(C)]
 pub struct EventRecord {
     /// The slot in which it happened.
     pub index: u64,
+    /// The command that ended.
+    pub(crate) id: u64,
+    /// What the values are of.
+    pub(crate) text: &'static str,
+    pub(crate) values: [f64; 3],
+    /// A code of the drive, or the number of a state, a link or a cause.
+    pub(crate) number: u32,
     /// The axis, in the order of the plan.
     pub axis: u16,
-    what: What,
+    pub(crate) what: What,
     /// The code of the command that ended; the register of an emergency, or a channel.
-    code: u8,
-    /// A code of the drive, or the number of a state, a link or a cause.
-    number: u32,
-    /// The command that ended.
-    id: u64,
-    /// What the values are of.
-    text: &'static str,
-    values: [f64; 3],
+    pub(crate) code: u8,
 }
 
 impl EventRecord {

@@ -189,8 +189,8 @@ fn changes(axis: &Axis, before: &DriveRecord, now: &DriveRecord) -> Vec<News> {
     if before.state != now.state {
         found.push(format!("{} -> {}", before.state, now.state));
     }
-    if before.sto_open != now.sto_open {
-        found.push(format!("hardware enable (STO) {}", if now.sto_open { "missing" } else { "present" }));
+    if before.sto_open() != now.sto_open() {
+        found.push(format!("hardware enable (STO) {}", if now.sto_open() { "missing" } else { "present" }));
     }
     if before.warning != now.warning {
         found.push(format!("warning {:#06x} -> {:#06x}", before.warning, now.warning));
