@@ -29,62 +29,81 @@ impl From<Band> for (f32, f32) {
 }
 
 impl Band {
-    /// Takes one more value into `band`; a drive that reports none has none.
+    /// Of no value: any value is lower, and higher.
+    const NONE: Band = Band { low: f32::INFINITY, high: f32::NEG_INFINITY };
+
+    /// Takes one more value in; a drive that reports none has none.
     #[inline]
-    fn see(band: &mut Option<Band>, value: f64) {
+    fn see(&mut self, value: f64) {
         let value = value as f32;
-        // Mostly it lies between the others.
-        if !band.is_some_and(|Band { low, high }| low <= value && value <= high) && value.is_finite() {
-            band.merge(Some(Band { low: value, high: value }));
+        if value.is_finite() {
+            self.low = if value < self.low { value } else { self.low };
+            self.high = if value > self.high { value } else { self.high };
         }
     }
-}
 
-impl Merge for Option<Band> {
-    fn merge(&mut self, other: Option<Band>) {
-        *self = match (*self, other) {
-            (Some(one), Some(other)) => {
-                Some(Band { low: one.low.min(other.low), high: one.high.max(other.high) })
-            }
-            (one, other) => one.or(other),
-        };
+    fn known(self) -> Option<Band> {
+        (self.low <= self.high).then_some(self)
     }
 }
 
-/// How an axis moved in one stretch, in its units; `None`: nothing was reported.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+/// How an axis moved in one stretch, in its units.
+#[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 #[cfg_attr(feature = "serde", serde(from = "[Option<Band>; 4]", into = "[Option<Band>; 4]"))]
-pub struct Moved {
-    /// Actual position.
-    pub position: Option<Band>,
+pub struct Moved([Band; 4]);
+
+const POSITION: usize = 0;
+const DEMAND: usize = 1;
+const ERROR: usize = 2;
+const VELOCITY: usize = 3;
+
+impl Moved {
+    /// Actual position; `None`: nothing was reported.
+    pub fn position(&self) -> Option<Band> {
+        self.0[POSITION].known()
+    }
+
     /// Demand position while it is enabled.
-    pub demand: Option<Band>,
+    pub fn demand(&self) -> Option<Band> {
+        self.0[DEMAND].known()
+    }
+
     /// Demand less actual position while it is enabled and not homing.
-    pub error: Option<Band>,
+    pub fn error(&self) -> Option<Band> {
+        self.0[ERROR].known()
+    }
+
     /// Actual velocity.
-    pub velocity: Option<Band>,
+    pub fn velocity(&self) -> Option<Band> {
+        self.0[VELOCITY].known()
+    }
+}
+
+impl Default for Moved {
+    fn default() -> Moved {
+        Moved([Band::NONE; 4])
+    }
 }
 
 /// In files a stretch is a list: its names would take more room than its numbers.
 impl From<Moved> for [Option<Band>; 4] {
-    fn from(Moved { position, demand, error, velocity }: Moved) -> [Option<Band>; 4] {
-        [position, demand, error, velocity]
+    fn from(Moved(bands): Moved) -> [Option<Band>; 4] {
+        bands.map(Band::known)
     }
 }
 
 impl From<[Option<Band>; 4]> for Moved {
-    fn from([position, demand, error, velocity]: [Option<Band>; 4]) -> Moved {
-        Moved { position, demand, error, velocity }
+    fn from(bands: [Option<Band>; 4]) -> Moved {
+        Moved(bands.map(|band| band.unwrap_or(Band::NONE)))
     }
 }
 
 impl Merge for Moved {
-    fn merge(&mut self, other: Moved) {
-        self.position.merge(other.position);
-        self.demand.merge(other.demand);
-        self.error.merge(other.error);
-        self.velocity.merge(other.velocity);
+    fn merge(&mut self, Moved(others): Moved) {
+        for (band, other) in self.0.iter_mut().zip(others) {
+            *band = Band { low: band.low.min(other.low), high: band.high.max(other.high) };
+        }
     }
 }
 
@@ -284,14 +303,14 @@ impl Motion {
         if counts && motion.error_max.is_none_or(|largest| error.abs() > largest.value) {
             motion.error_max = Some(Largest { value: error.abs(), cycle: record.index });
         }
-        let moved = motion.course.at(record.index);
-        Band::see(&mut moved.position, record.position);
-        Band::see(&mut moved.velocity, record.velocity.into());
+        let Moved(bands) = motion.course.at(record.index);
+        bands[POSITION].see(record.position);
+        bands[VELOCITY].see(record.velocity.into());
         if enabled {
-            Band::see(&mut moved.demand, record.demand);
+            bands[DEMAND].see(record.demand);
         }
         if counts {
-            Band::see(&mut moved.error, error);
+            bands[ERROR].see(error);
         }
     }
 }
@@ -351,9 +370,9 @@ mod tests {
         let axis = all.axes().next().unwrap();
         assert!(axis.stretches().len() <= super::super::stretches::MOST);
         let first = axis.stretches()[0];
-        assert_eq!(first.position, Some(Band { low: -99_999.0, high: 9.0 }));
-        assert_eq!(first.error, Some(Band { low: 0.5, high: 0.5 }));
-        assert_eq!(axis.stretches().last().unwrap().error, Some(Band { low: 0.25, high: 0.25 }));
+        assert_eq!(first.position(), Some(Band { low: -99_999.0, high: 9.0 }));
+        assert_eq!(first.error(), Some(Band { low: 0.5, high: 0.5 }));
+        assert_eq!(axis.stretches().last().unwrap().error(), Some(Band { low: 0.25, high: 0.25 }));
         assert_eq!(axis.error_max, Some(Largest { value: 0.5, cycle: 0 }));
     }
 

@@ -32,31 +32,43 @@ impl Merge for Stretch {
 /// The course of a run.
 #[derive(Clone, Debug, Default)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
-pub struct Timeline(Stretches<Stretch>);
+#[cfg_attr(feature = "serde", serde(from = "Stretches<Stretch>", into = "Stretches<Stretch>"))]
+pub struct Timeline {
+    all: Stretches<Stretch>,
+    /// Of the cycle whose own record is still to come.
+    cycle: Stretch,
+}
+
+impl From<Stretches<Stretch>> for Timeline {
+    fn from(all: Stretches<Stretch>) -> Timeline {
+        Timeline { all, cycle: Stretch::default() }
+    }
+}
+
+impl From<Timeline> for Stretches<Stretch> {
+    fn from(timeline: Timeline) -> Stretches<Stretch> {
+        timeline.all
+    }
+}
 
 impl Timeline {
     /// How many cycles a stretch is long.
     pub fn width(&self) -> u64 {
-        self.0.width()
+        self.all.width()
     }
 
     /// The stretches from cycle 0 on.
     pub fn stretches(&self) -> &[Stretch] {
-        self.0.list()
+        self.all.list()
     }
 
     /// Enters one record.
     #[doc(hidden)]
     pub fn enter(&mut self, record: &Record) {
         match record {
-            Record::Drive(DriveRecord { index, rtt_ns, reply, .. }) => {
-                let missed = u64::from(*reply == Reply::Missed);
-                let rtt_ns = rtt_ns.map_or(0, |ns| u64::from(ns.get()));
-                if missed > 0 || rtt_ns > 0 {
-                    let stretch = self.at(*index);
-                    stretch.rtt_ns = stretch.rtt_ns.max(rtt_ns);
-                    stretch.missed += missed;
-                }
+            Record::Drive(DriveRecord { rtt_ns, reply, .. }) => {
+                self.cycle.rtt_ns = self.cycle.rtt_ns.max(rtt_ns.map_or(0, |ns| u64::from(ns.get())));
+                self.cycle.missed += u64::from(*reply == Reply::Missed);
             }
             Record::Monitor(_)
             | Record::Reference(_)
@@ -66,11 +78,12 @@ impl Timeline {
             Record::Cycle(record) => {
                 let busy_ns = record.stages_ns.iter().map(|ns| u64::from(*ns)).sum();
                 let wake_ns = u64::from(record.wake_ns);
-                self.at(record.index).merge(Stretch { wake_ns, busy_ns, ..Stretch::default() });
+                let cycle = Stretch { wake_ns, busy_ns, ..std::mem::take(&mut self.cycle) };
+                self.all.at(record.index).merge(cycle);
             }
             Record::Skipped(record) => {
                 let (wake_ns, skipped) = (record.late_ns, record.count);
-                self.at(record.first).merge(Stretch { wake_ns, skipped, ..Stretch::default() });
+                self.all.at(record.first).merge(Stretch { wake_ns, skipped, ..Stretch::default() });
             }
         }
     }
@@ -78,11 +91,7 @@ impl Timeline {
     /// Appends the course of a later run, whose cycle 0 was at `begin`.
     #[doc(hidden)]
     pub fn append(&mut self, begin: u64, later: &Timeline) {
-        self.0.append(begin, &later.0);
-    }
-
-    fn at(&mut self, index: u64) -> &mut Stretch {
-        self.0.at(index)
+        self.all.append(begin, &later.all);
     }
 }
 
@@ -113,6 +122,7 @@ mod tests {
             |index, reply| DriveRecord { index, reply, rtt_ns: measured(7), ..DriveRecord::default() };
         timeline.enter(&Record::Drive(drive(3, Reply::Missed)));
         timeline.enter(&Record::Drive(drive(3, Reply::Answered)));
+        timeline.enter(&Record::Cycle(CycleRecord { index: 3, ..CycleRecord::default() }));
         let skipped =
             SkippedRecord { first: 5_000_000_000, count: 9, late_ns: 11, ..SkippedRecord::default() };
         timeline.enter(&Record::Skipped(skipped));

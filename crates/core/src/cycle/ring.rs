@@ -124,7 +124,7 @@ pub fn records(
         begin.add(records_at(about.len())).cast().as_ptr()
     };
     let shared = Arc::new(Shared { mapping, records, slots: slots as u64, room: room as u64 });
-    let writer = RecordWriter { shared: Arc::clone(&shared), written: 0, read: 0 };
+    let writer = RecordWriter { shared: Arc::clone(&shared), written: 0, at: 0, read: 0 };
     let kept = kept.records as u64;
     (writer, RecordReader { shared, kept, next: Cell::new(0), seen: Cell::new(0) }, unnamed)
 }
@@ -134,6 +134,8 @@ pub fn records(
 pub struct RecordWriter {
     shared: Arc<Shared>,
     written: u64,
+    /// The slot of the next record.
+    at: usize,
     /// As it was seen last.
     read: u64,
 }
@@ -157,43 +159,27 @@ impl RecordWriter {
     /// Writes a record; `false`: there is no room.
     #[inline]
     pub fn push(&mut self, record: Record) -> bool {
-        let has_room = self.room(1) > 0;
-        if has_room {
-            // SAFETY: a slot that the reader has left, since there is room.
-            unsafe { self.shared.slot(self.written).write(record) };
-            self.announce(1);
-        }
-        has_room
+        self.fill(1, std::iter::once(record))
     }
 
-    /// Writes records, built in their slots and announced together, while there are more and there is room for
-    /// `most`. Without room for as many as `least`, none.
+    /// Writes records, built in their slots and announced together, while there are more and there is room. Without
+    /// room for as many as `least`, none.
     #[inline]
     pub fn fill(&mut self, least: usize, records: impl Iterator<Item = Record>) -> bool {
         let room = self.room(least as u64);
         if room < least as u64 {
             return false;
         }
-        let mut count = 0;
-        let mut slot = self.shared.slot(self.written);
-        // SAFETY: the last slot.
-        let last = unsafe { self.shared.records.add(self.shared.slots as usize - 1) };
+        let (mut at, mut written) = (self.at, self.written);
         for record in records.take(room as usize) {
-            // SAFETY: a slot that the reader has left: not more are taken than there is room for.
-            unsafe {
-                slot.write(record);
-                slot = if slot == last { self.shared.records } else { slot.add(1) };
-            }
-            count += 1;
+            // SAFETY: one of the slots, and one that the reader has left: not more are taken than there is room for.
+            unsafe { self.shared.records.add(at).write(record) };
+            at = if at + 1 == self.shared.slots as usize { 0 } else { at + 1 };
+            written += 1;
         }
-        self.announce(count);
+        (self.at, self.written) = (at, written);
+        self.shared.head().written.store(written, Ordering::Release);
         true
-    }
-
-    #[inline]
-    fn announce(&mut self, more: u64) {
-        self.written += more;
-        self.shared.head().written.store(self.written, Ordering::Release);
     }
 }
 

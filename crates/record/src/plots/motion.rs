@@ -17,14 +17,12 @@ pub fn plot(run: &Archive, drive: &Drive) -> String {
     let (unit, name) = (&drive.unit, &drive.name);
     let axis = Axis { run, drive };
     let mut plots = String::new();
-    let position: [(Quantity, _, _); 2] = [
-        (|moved| moved.demand, "c4 thick", "demand position"),
-        (|moved| moved.position, "c0", "actual position"),
-    ];
+    let position: [(Quantity, _, _); 2] =
+        [(Moved::demand, "c4 thick", "demand position"), (Moved::position, "c0", "actual position")];
     plots += &axis.plot(&format!("position-{name}"), &format!("position ({unit})"), &position);
-    let error: [(Quantity, _, _); 1] = [(|moved| moved.error, "c1", "following error: demand less actual")];
+    let error: [(Quantity, _, _); 1] = [(Moved::error, "c1", "following error: demand less actual")];
     plots += &axis.plot(&format!("error-{name}"), &format!("following error ({unit})"), &error);
-    let velocity: [(Quantity, _, _); 1] = [(|moved| moved.velocity, "c2", "actual velocity")];
+    let velocity: [(Quantity, _, _); 1] = [(Moved::velocity, "c2", "actual velocity")];
     plots += &axis.plot(&format!("velocity-{name}"), &format!("velocity ({unit}/s)"), &velocity);
     plots
 }
@@ -127,11 +125,11 @@ mod tests {
     #[test]
     fn a_gap_is_not_bridged() {
         let band = Band { low: 1.0, high: 2.0 };
-        let seen = Moved { velocity: Some(band), ..Moved::default() };
+        let seen = Moved::from([None, None, None, Some(band)]);
         let none = Moved::default();
         let stretches = [none, seen, seen, none, none, seen];
-        let rows = unbroken(&stretches, |moved| moved.velocity);
+        let rows = unbroken(&stretches, Moved::velocity);
         assert_eq!(rows, [(1, vec![band, band]), (5, vec![band])]);
-        assert_eq!(unbroken(&stretches, |moved| moved.position), []);
+        assert_eq!(unbroken(&stretches, Moved::position), []);
     }
 }

@@ -160,7 +160,7 @@ fn axes_move_by_their_patterns_and_a_test_that_goes_on_adds_up() {
     assert!((30..=45).contains(&moves[0]) && moves[1] > 20 && moves[2] > 20, "{moves:?}");
     let positions = |of: usize| {
         let stretches = killed.run.as_ref().unwrap().drives[of].motion.stretches().iter();
-        let bands = stretches.filter_map(|moved| moved.position).skip(400);
+        let bands = stretches.filter_map(|moved| moved.position()).skip(400);
         bands.fold((f32::MAX, f32::MIN), |(low, high), band| (low.min(band.low), high.max(band.high)))
     };
     let ((x_low, x_high), (y_low, y_high)) = (positions(0), positions(1));
