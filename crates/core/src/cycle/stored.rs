@@ -1,6 +1,7 @@
-//! Records from the bytes of a memory that a process has left behind. The loop stores them as they are, so their
-//! layout is fixed: each is `repr(C)` behind a byte for its kind, and what the language leaves open is asserted below.
-//! Bytes are no records before they were looked at: a number that means nothing makes them none.
+//! Records as bytes, for another process of this computer: in a memory that was left behind, or in a stream. The loop
+//! stores them as they are, so their layout is fixed: each is `repr(C)` behind a byte for its kind, and what the language
+//! leaves open is asserted below. Bytes are no records before they were looked at: a number that means nothing makes
+//! them none.
 
 use std::mem::offset_of;
 use std::num::NonZeroU32;
@@ -34,15 +35,22 @@ const _: () = {
     }
 };
 
-/// A value at the begin of bytes; `None` if they are too few, or mean nothing.
+/// A value at the begin of bytes.
 trait Stored: Sized {
+    /// The value; `None` if the bytes are too few, or mean nothing.
     fn load(bytes: &[u8]) -> Option<Self>;
+    /// Writes it; there is room for it.
+    fn store(&self, bytes: &mut [u8]);
 }
 
 macro_rules! numbers {
     ($($number:ty),+) => {$(impl Stored for $number {
         fn load(bytes: &[u8]) -> Option<$number> {
             bytes.first_chunk().map(|bytes| <$number>::from_ne_bytes(*bytes))
+        }
+
+        fn store(&self, bytes: &mut [u8]) {
+            bytes[..size_of::<$number>()].copy_from_slice(&self.to_ne_bytes());
         }
     })+};
 }
@@ -51,27 +59,43 @@ numbers!(u8, u16, u32, i32, u64, f32, f64);
 
 /// Values that are a number each.
 macro_rules! numbered {
-    ($($type:ty: $of:expr;)+) => {$(impl Stored for $type {
+    ($($type:ty as $number:ty: $of:expr, $to:expr;)+) => {$(impl Stored for $type {
         fn load(bytes: &[u8]) -> Option<$type> {
-            Stored::load(bytes).and_then($of)
+            <$number>::load(bytes).and_then($of)
+        }
+
+        fn store(&self, bytes: &mut [u8]) {
+            let number: $number = $to(*self);
+            number.store(bytes);
         }
     })+};
 }
 
 numbered! {
-    bool: |byte: u8| (byte < 2).then_some(byte == 1);
-    Time: |ns: u64| Some(Time(ns));
-    CommandId: |id: u64| Some(CommandId(id));
-    DriveFlags: DriveFlags::of;
-    Reply: |number: u8| Reply::ALL.get(usize::from(number)).copied();
-    Link: |number: u8| Link::ALL.get(usize::from(number)).copied();
-    State: |number: u8| State::ALL.get(usize::from(number)).copied();
-    What: What::of;
-    Option<StopCause>: |number: u8| match number {
+    bool as u8: |byte| (byte < 2).then_some(byte == 1), u8::from;
+    Time as u64: |ns| Some(Time(ns)), |time: Time| time.0;
+    CommandId as u64: |id| Some(CommandId(id)), |id: CommandId| id.0;
+    DriveFlags as u8: DriveFlags::of, DriveFlags::bits;
+    Reply as u8: |number| Reply::ALL.get(usize::from(number)).copied(), |reply| reply as u8;
+    Link as u8: |number| Link::ALL.get(usize::from(number)).copied(), |link| link as u8;
+    State as u8: |number| State::ALL.get(usize::from(number)).copied(), |state| state as u8;
+    What as u8: What::of, |what| what as u8;
+    Option<NonZeroU32> as u32: |number| Some(NonZeroU32::new(number)), |number: Option<_>| {
+        number.map_or(0, NonZeroU32::get)
+    };
+    Option<StopCause> as u8: |number| match number {
         0 => Some(None),
         number => StopCause::of(number.into()).map(Some),
+    }, |cause: Option<_>| cause.map_or(0, |cause| cause as u8);
+    // A flag of its own in front.
+    Option<i32> as [i32; 2]: |[is_some, value]| (0..2).contains(&is_some).then(|| (is_some == 1).then_some(value)),
+        |value: Option<_>| [value.is_some().into(), value.unwrap_or_default()];
+    Option<Look> as [u32; 3]: |[is_some, faults, switches]| {
+        (is_some < 2).then(|| (is_some == 1).then_some(Look { faults, switches }))
+    }, |look: Option<Look>| {
+        let Look { faults, switches } = look.unwrap_or_default();
+        [look.is_some().into(), faults, switches]
     };
-    Option<NonZeroU32>: |number: u32| Some(NonZeroU32::new(number));
 }
 
 impl<T: Stored, const N: usize> Stored for [T; N] {
@@ -79,20 +103,10 @@ impl<T: Stored, const N: usize> Stored for [T; N] {
         let values = (0..N).map_while(|at| T::load(bytes.get(at * size_of::<T>()..)?));
         values.collect::<Vec<T>>().try_into().ok()
     }
-}
 
-/// A flag of its own in front.
-impl Stored for Option<i32> {
-    fn load(bytes: &[u8]) -> Option<Option<i32>> {
-        let [is_some, value] = Stored::load(bytes)?;
-        (0..2).contains(&is_some).then(|| (is_some == 1).then_some(value))
-    }
-}
-
-impl Stored for Option<Look> {
-    fn load(bytes: &[u8]) -> Option<Option<Look>> {
-        let [is_some, faults, switches] = <[u32; 3]>::load(bytes)?;
-        (is_some < 2).then(|| (is_some == 1).then_some(Look { faults, switches }))
+    fn store(&self, bytes: &mut [u8]) {
+        let places = bytes.chunks_mut(size_of::<T>());
+        self.iter().zip(places).for_each(|(value, bytes)| value.store(bytes));
     }
 }
 
@@ -101,13 +115,21 @@ impl Stored for Shown {
         let values = Stored::load(bytes.get(Shown::VALUES_AT..)?)?;
         Shown::from_words(Stored::load(bytes.get(Shown::MASK_AT..)?)?, values)
     }
+
+    fn store(&self, bytes: &mut [u8]) {
+        let (mask, values) = self.to_words();
+        mask.store(&mut bytes[Shown::MASK_AT..]);
+        values.store(&mut bytes[Shown::VALUES_AT..]);
+    }
 }
 
-/// A text lies in the memory of the process that has ended.
+/// A text lies in the memory of the process that has it.
 impl Stored for &'static str {
     fn load(_: &[u8]) -> Option<&'static str> {
         Some("(its name ended with the program)")
     }
+
+    fn store(&self, _: &mut [u8]) {}
 }
 
 /// Records from their fields.
@@ -115,6 +137,10 @@ macro_rules! stored {
     ($($Name:ident { $($field:ident),+ })+) => {$(impl Stored for $Name {
         fn load(bytes: &[u8]) -> Option<$Name> {
             Some($Name { $($field: Stored::load(bytes.get(offset_of!($Name, $field)..)?)?),+ })
+        }
+
+        fn store(&self, bytes: &mut [u8]) {
+            $(self.$field.store(&mut bytes[offset_of!($Name, $field)..]);)+
         }
     })+};
 }
@@ -133,21 +159,44 @@ stored! {
     NativeRecord { index, received_ns, axis, total, inputs, offset, bytes }
 }
 
-impl Record {
-    /// The record of bytes that another process has stored; `None` if they are none.
-    #[doc(hidden)]
-    pub fn load(bytes: &[u8]) -> Option<Record> {
-        let content = bytes.get(CONTENT..)?;
-        Some(match bytes[0] {
-            0 => Record::Drive(Stored::load(content)?),
-            1 => Record::Monitor(Stored::load(content)?),
-            2 => Record::Reference(Stored::load(content)?),
-            3 => Record::Cycle(Stored::load(content)?),
-            4 => Record::Skipped(Stored::load(content)?),
-            5 => Record::Command(Stored::load(content)?),
-            6 => Record::Event(Stored::load(content)?),
-            7 => Record::Native(Stored::load(content)?),
-            _ => return None,
-        })
-    }
+/// The kinds of records, each by the number that stands in front of it.
+macro_rules! kinds {
+    ($($number:literal: $Kind:ident,)+) => {
+        impl Record {
+            /// The record of bytes that another process has stored; `None` if they are none.
+            #[doc(hidden)]
+            pub fn load(bytes: &[u8]) -> Option<Record> {
+                let content = bytes.get(CONTENT..)?;
+                match bytes[0] {
+                    $($number => Stored::load(content).map(Record::$Kind),)+
+                    _ => None,
+                }
+            }
+
+            /// Its bytes as they lie in memory, for another process of this computer. What is only a text is not in
+            /// them.
+            #[doc(hidden)]
+            pub fn store(&self) -> [u8; RECORD] {
+                let mut bytes = [0; RECORD];
+                bytes[0] = match self {
+                    $(Record::$Kind(record) => {
+                        record.store(&mut bytes[CONTENT..]);
+                        $number
+                    })+
+                };
+                bytes
+            }
+        }
+    };
+}
+
+kinds! {
+    0: Drive,
+    1: Monitor,
+    2: Reference,
+    3: Cycle,
+    4: Skipped,
+    5: Command,
+    6: Event,
+    7: Native,
 }

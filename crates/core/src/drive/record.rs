@@ -103,6 +103,11 @@ impl DriveFlags {
         DriveFlags(u8::from(moving) | u8::from(sto_open) << 1 | u8::from(was_online) << 2)
     }
 
+    /// As a byte.
+    pub(crate) fn bits(self) -> u8 {
+        self.0
+    }
+
     /// Those of a byte; `None` if a bit of it means nothing.
     pub(crate) fn of(bits: u8) -> Option<DriveFlags> {
         (bits < 8).then_some(DriveFlags(bits))
