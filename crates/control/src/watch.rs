@@ -2,10 +2,8 @@
 //!
 //! The question `watch` is answered with what the records are of. The question `records` after it begins a stream, one
 //! way and up to the end of either side: frames of a kind, a length in four bytes, and so many bytes. The records have
-//! the bytes of `record`. Whoever reads too slowly loses records, and gets their number; the telemetry thread waits
+//! the bytes that they have in memory. Whoever reads too slowly loses records, and gets their number; the telemetry thread waits
 //! for nobody.
-
-mod record;
 
 use std::io::{self, Read};
 use std::os::unix::net::UnixStream;
@@ -17,12 +15,12 @@ use std::time::{Duration, Instant, SystemTime};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-use self::record::{RECORD, get, put};
 use super::protocol::{Exchange, LOOK_EVERY};
 use super::server::{PATIENCE_OF_STREAM, Sender};
 use super::{AskError, Conversation};
 use fieldbeat_core::axis::{BegunBy, EventKind, FaultNames};
 use fieldbeat_core::cycle::record::{CommandStep, Record};
+use fieldbeat_core::cycle::stored::{LAYOUT, RECORD};
 use fieldbeat_core::rt::MonotonicClock;
 use fieldbeat_core::rt::thread::helper_thread;
 use fieldbeat_core::time::nanos;
@@ -59,6 +57,8 @@ const PATIENCE: Duration = Duration::from_secs(5);
 pub struct About {
     /// The process.
     pub pid: u32,
+    /// The layout of the records.
+    layout: u32,
     /// The date at the zero of the clock of the records, ns since 1970.
     pub epoch_ns: u64,
     /// The machine.
@@ -159,7 +159,7 @@ impl Watch {
         let watchers = Arc::clone(&self.watchers);
         self.seat = Some(Seat { tap: self.monitor.tap(ROOM), watchers });
         let header = header(self.monitor.plan());
-        Ok(About { pid: std::process::id(), epoch_ns: self.epoch_ns, header })
+        Ok(About { pid: std::process::id(), layout: LAYOUT, epoch_ns: self.epoch_ns, header })
     }
 
     /// The stream that `records` begins; `None`: that is not asked, or nothing was announced.
@@ -225,7 +225,7 @@ impl Stream<'_> {
                 let kept = records.iter().filter(|record| {
                     !matches!(record, Record::Command(_) | Record::Event(_) | Record::Native(_))
                 });
-                self.frame(KIND_RECORDS, |bytes| kept.for_each(|record| put(record, bytes)));
+                self.frame(KIND_RECORDS, |bytes| kept.for_each(|record| bytes.extend(record.store())));
                 send(&self.bytes)?;
             }
         }
@@ -245,10 +245,8 @@ impl Stream<'_> {
         for record in records {
             let Record::Drive(drive) = record else { continue };
             let axis = usize::from(drive.axis);
-            for code in Some(drive.fault).filter(|code| *code != 0) {
-                if self.named.contains(&(drive.axis, code)) {
-                    continue;
-                }
+            let code = drive.fault;
+            if code != 0 && !self.named.contains(&(drive.axis, code)) {
                 self.named.push((drive.axis, code));
                 let name = self.names.get(axis).and_then(|names| names(code));
                 faults.extend(name.map(|name| (axis, code, name.to_owned())));
@@ -319,7 +317,8 @@ impl Watched {
         let foreign = || AskError::Foreign(path.to_owned());
         let conversation = Conversation::open(path)?;
         let about = conversation.ask(&json!({ "ask": "watch" }), PATIENCE)?;
-        let about: About = serde_json::from_value(about).map_err(|_| foreign())?;
+        let about = serde_json::from_value(about).ok().filter(|about: &About| about.layout == LAYOUT);
+        let about = about.ok_or_else(foreign)?;
         let stream = conversation.into_stream(&json!({ "ask": "records" }))?;
         let failed = |error| AskError::Io { path: path.to_owned(), error };
         let watched = Watched::new(stream, about.header.axes.len()).map_err(failed)?;
@@ -362,7 +361,9 @@ impl Watched {
         let Some(frame) = self.bytes.get(BEFORE..BEFORE + length) else { return Ok(None) };
         let part = match kind {
             KIND_RECORDS if length.is_multiple_of(RECORD) => {
-                let records = frame.chunks_exact(RECORD).map(|bytes| get(bytes, self.axes));
+                let records = frame.chunks_exact(RECORD).map(|bytes| {
+                    Record::load(bytes).filter(|record| record.axis().is_none_or(|axis| axis < self.axes))
+                });
                 records.collect::<Option<_>>().map(Part::Records)
             }
             KIND_NEWS => serde_json::from_slice(frame).ok().map(Part::News),
@@ -390,9 +391,7 @@ mod tests {
     }
 
     fn records(records: &[Record]) -> Vec<u8> {
-        let mut bytes = Vec::new();
-        records.iter().for_each(|record| put(record, &mut bytes));
-        bytes
+        records.iter().flat_map(Record::store).collect()
     }
 
     #[test]

@@ -106,7 +106,7 @@ struct Attached<'a> {
 
 impl<'a> Attached<'a> {
     fn new(feed: &'a Feed, about: About) -> Attached<'a> {
-        let About { pid, epoch_ns, header } = about;
+        let About { pid, epoch_ns, header, .. } = about;
         feed.introduce(&json!({ "machine": {
             "pid": pid,
             "epoch_ns": epoch_ns.to_string(),

@@ -43,6 +43,20 @@ impl From<Note> for Record {
 }
 
 impl Record {
+    /// The axis that it is of, in the order of the plan.
+    #[doc(hidden)]
+    pub fn axis(&self) -> Option<usize> {
+        let axis = match self {
+            Record::Drive(DriveRecord { axis, .. })
+            | Record::Monitor(MonitorRecord { axis, .. })
+            | Record::Event(EventRecord { axis, .. })
+            | Record::Native(NativeRecord { axis, .. }) => *axis,
+            Record::Command(command) => command.axis(),
+            Record::Reference(_) | Record::Cycle(_) | Record::Skipped(_) => return None,
+        };
+        Some(axis.into())
+    }
+
     /// Its slot; of slots passed over, the first. An event between two cycles has the slot of the next one.
     pub fn index(&self) -> u64 {
         match self {

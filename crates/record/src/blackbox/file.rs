@@ -345,7 +345,7 @@ mod tests {
         let axis = |name: &str| AxisAbout {
             name: name.into(),
             about: of_axis("mm", "linudp"),
-            faults: Faults::Known(|code| (code == 0x4310).then_some("too hot")),
+            faults: crate::recording::machine::Faults::Known(|code| (code == 0x4310).then_some("too hot")),
             ..AxisAbout::default()
         };
         let channel = |name: &str, unit: &str| Some((name.into(), unit.into()));

@@ -77,7 +77,11 @@ fn records(cycles: u64) -> Vec<Record> {
     let command = Command::Move(Move { target: Target::Relative(-4.0), profile });
     let call = Some(GroupCall { parts: 2, together: 2, lead: 0, id });
     let queued = QueuedCommand { id, member: 0, command, stream: 0, call };
-    let step = |index, step| Record::Command(CommandRecord { index, ..CommandRecord::new(step, &queued) });
+    let step = |index, step| {
+        let mut record = CommandRecord::new(step, &queued);
+        record.index = index;
+        Record::Command(record)
+    };
     let failure = axis::Failure::Limit { what: "position", value: 9.0, low: 0.0, high: 8.0 };
     let ended = EventKind::Ended { id, command: "move", outcome: Outcome::Failed(failure) };
     let mut records = Vec::new();
