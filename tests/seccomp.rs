@@ -78,8 +78,7 @@ const ALLOWED: [Allowed; 13] = [
     Allowed { call: libc::SYS_ppoll, with: With::Any },
     // All requests of a bus; one that does not fit fails at once.
     Allowed { call: libc::SYS_sendmmsg, with: With::Bit(3, libc::MSG_DONTWAIT) },
-    // One request of a bus with `send = "each"`, or on a connection, on a socket that never waits (O_NONBLOCK); a frame
-    // of a line.
+    // One request on a connection, on a socket that never waits (O_NONBLOCK); a frame of a line.
     Allowed { call: libc::SYS_sendto, with: With::Any },
     // All replies that are there; none is no reason to wait.
     Allowed { call: libc::SYS_recvmmsg, with: With::Bit(3, libc::MSG_DONTWAIT) },

@@ -7,9 +7,7 @@ use std::net::{Ipv4Addr, SocketAddr, SocketAddrV4, TcpListener, TcpStream, UdpSo
 use std::time::Duration;
 
 use fieldbeat::Time;
-use fieldbeat_core::net::{
-    Carriers, Handshake, HandshakeState, Os, Outbox, SendMode, StreamPeer, UdpOptions,
-};
+use fieldbeat_core::net::{Carriers, Handshake, HandshakeState, Os, Outbox, StreamPeer, UdpOptions};
 use fieldbeat_modbus as modbus;
 
 use crate::support::callgrind::counted;
@@ -34,8 +32,7 @@ fn datagrams(drives: usize, cycles: u64) -> io::Result<Ran> {
     let peers: Vec<_> = (0..drives).map(bind).collect::<Result<_, _>>()?;
     let addresses: Vec<_> =
         peers.iter().map(|peer| peer.local_addr().map(address)).collect::<Result<_, _>>()?;
-    let options =
-        UdpOptions { peers: drives, waiting: 1, room: LENGTH, send: SendMode::Batch, dscp: 0, groups: 0 };
+    let options = UdpOptions { peers: drives, waiting: 1, room: LENGTH, dscp: 0, groups: 0 };
     let mut carrier = Os::default().datagrams(SocketAddrV4::new(Ipv4Addr::LOCALHOST, 0), &options)?;
     let mut outbox = Outbox::new(&addresses, LENGTH);
     (0..drives).for_each(|index| outbox.set_length(index, LENGTH));

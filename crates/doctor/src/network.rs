@@ -247,21 +247,14 @@ pub(super) mod tests {
     use super::*;
     use crate::Verdict::{Bad, Good, Poor, Unknown};
     use crate::facts::testing::{Host, subject};
-    use fieldbeat_core::net::{SendMode, UdpOptions};
+    use fieldbeat_core::net::UdpOptions;
 
     /// Two drives behind eth0.
     pub fn wire() -> Wire {
         Wire {
             bus: "linmot".into(),
             local: "192.168.1.1:41136".parse().unwrap(),
-            options: UdpOptions {
-                peers: 2,
-                waiting: 5,
-                room: 128,
-                send: SendMode::Batch,
-                dscp: 0,
-                groups: 0,
-            },
+            options: UdpOptions { peers: 2, waiting: 5, room: 128, dscp: 0, groups: 0 },
             drives: vec!["192.168.1.11:49360".parse().unwrap(), "192.168.1.12:49360".parse().unwrap()],
         }
     }

@@ -68,14 +68,8 @@ impl EthernetIpBus {
         let bind = if is_cyclic { plan.bind } else { SocketAddrV4::new(*plan.bind.ip(), 0) };
         let groups = plan.drives.iter().filter(|drive| drive.delivery == Delivery::Multicast).count();
         let waiting = plan.drives.iter().map(|drive| drive.axis.health.bucket as usize).max().unwrap_or(0);
-        let options = UdpOptions {
-            peers: plan.drives.len(),
-            waiting,
-            room: RECEIVED,
-            send: plan.send,
-            dscp: plan.dscp,
-            groups,
-        };
+        let options =
+            UdpOptions { peers: plan.drives.len(), waiting, room: RECEIVED, dscp: plan.dscp, groups };
         let refused = |source| OpenError::bind(&plan.name, plan.bind, source);
         let net = carriers.datagrams(bind, &options).map_err(refused)?;
         let (mut stations, mut peers) = (Vec::new(), Vec::new());

@@ -19,7 +19,7 @@ use super::plan::{
 use super::wire::assembly::IoCode;
 use fieldbeat_core::bus::BusPlan;
 use fieldbeat_core::time::{MS, S};
-use fieldbeat_keys::bus::{NOWHERE, accepts_no_watchdog, address, bind, drives, send};
+use fieldbeat_keys::bus::{NOWHERE, accepts_no_watchdog, address, bind, drives};
 use fieldbeat_keys::drive::{Counts, axis};
 use fieldbeat_keys::form::Form;
 use fieldbeat_keys::machine::{Claim, Machine};
@@ -48,9 +48,8 @@ pub fn bus(table: &mut Table<'_>, machine: &mut Machine) -> Box<dyn BusPlan> {
     let originator = originator(table, ip);
     let dscp = "the mark of packets for switches; 47 is scheduled traffic, 0 is no mark";
     let dscp = table.integer("dscp", 0..=63, dscp).unwrap_or(EthernetIpPlan::DSCP);
-    let send = send(table);
     let drives = drives(table, |table, _| drive(table, machine, bind));
-    Box::new(EthernetIpPlan { name, bind: bind.unwrap_or(NOWHERE), originator, dscp, send, drives })
+    Box::new(EthernetIpPlan { name, bind: bind.unwrap_or(NOWHERE), originator, dscp, drives })
 }
 
 fn originator(table: &mut Table<'_>, bind: Ipv4Addr) -> Originator {

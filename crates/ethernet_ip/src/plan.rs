@@ -7,7 +7,6 @@ pub use super::wire::assembly::{Layout, Version};
 pub use super::wire::connection::{Access, Delivery};
 use fieldbeat_core::axis::feedback::MONITOR_CHANNELS;
 use fieldbeat_core::axis::{AxisPlan, MonitorChannel, Units};
-use fieldbeat_core::net::SendMode;
 use fieldbeat_core::time::{MS, S};
 
 /// The UDP port of class 1 packets, in both directions.
@@ -42,8 +41,6 @@ pub struct EthernetIpPlan {
     pub originator: Originator,
     /// The mark of class 1 packets for switches and routers (DSCP, 0 ... 63).
     pub dscp: u8,
-    /// One system call for all packets, or one each.
-    pub send: SendMode,
     /// The drives; one address each.
     pub drives: Vec<MoonsDrive>,
 }
@@ -209,7 +206,6 @@ impl EthernetIpPlan {
             bind: SocketAddrV4::new(bind, IO_PORT),
             originator: Originator::at(bind),
             dscp: EthernetIpPlan::DSCP,
-            send: SendMode::default(),
             drives,
         }
     }

@@ -5,7 +5,6 @@ use std::net::{Ipv4Addr, SocketAddrV4};
 use super::machine::{Claim, Machine};
 use super::table::Table;
 use super::value::{ENDPOINT, SOMETHING, station};
-use fieldbeat_core::net::SendMode;
 
 /// Stands in for an address that was refused: the plan is not handed out then.
 pub const NOWHERE: SocketAddrV4 = SocketAddrV4::new(Ipv4Addr::UNSPECIFIED, 0);
@@ -71,11 +70,6 @@ pub fn interface(
     let interface = table.text(key, SOMETHING, wrong, text)?;
     machine.claim_interface(table, key, &interface);
     Some(interface)
-}
-
-/// How datagrams are handed to the kernel.
-pub fn send(table: &mut Table<'_>) -> SendMode {
-    table.word("send", &[("batch", SendMode::Batch), ("each", SendMode::Each)]).unwrap_or_default()
 }
 
 /// Motion is taken although nothing stops the drive if the master dies.

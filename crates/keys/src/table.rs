@@ -419,7 +419,13 @@ impl<'a> Table<'a> {
 const RENAMED: [(&str, &str); 3] =
     [("inhibit", "sto"), ("inhibit_for", "sto_for"), ("inhibit_after", "sto_after")];
 
+/// Keys that are gone: why.
+const GONE: [(&str, &str); 1] = [("send", "one system call sends all requests of a cycle")];
+
 fn unknown(key: &str, valid: Vec<&str>) -> String {
+    if let Some((_, why)) = GONE.iter().find(|(old, _)| *old == key) {
+        return format!("this key is gone: {why}; remove it");
+    }
     if let Some((_, new)) = RENAMED.iter().find(|(old, new)| *old == key && valid.contains(new)) {
         return format!("its name is {new} now");
     }

@@ -52,8 +52,7 @@ impl LinUdpBus {
         let locks = drives::lock(&plan.name, addresses, carriers)?;
         // Until its bucket is full, an absent drive gets its requests like any other.
         let waiting = plan.drives.iter().map(|drive| drive.axis.health.bucket as usize).max().unwrap_or(0);
-        let options =
-            UdpOptions { peers: plan.drives.len(), waiting, room: ROOM, send: plan.send, dscp: 0, groups: 0 };
+        let options = UdpOptions { peers: plan.drives.len(), waiting, room: ROOM, dscp: 0, groups: 0 };
         let refused = |source| OpenError::bind(&plan.name, plan.bind, source);
         let net = carriers.datagrams(plan.bind, &options).map_err(refused)?;
         let twin = net.twin().map_err(refused)?;

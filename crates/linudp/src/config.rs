@@ -23,7 +23,7 @@ use fieldbeat_core::axis::Unit;
 use fieldbeat_core::axis::feedback::MONITOR_CHANNELS;
 use fieldbeat_core::bus::{BusPlan, MOST_EARLIER};
 use fieldbeat_core::time::S;
-use fieldbeat_keys::bus::{NOWHERE, accepts_no_watchdog, address, bind, drives, send};
+use fieldbeat_keys::bus::{NOWHERE, accepts_no_watchdog, address, bind, drives};
 use fieldbeat_keys::drive::{Counts, axis};
 use fieldbeat_keys::form::Form;
 use fieldbeat_keys::machine::{Claim, Machine};
@@ -48,9 +48,8 @@ pub const SPECIMEN: &str = "bind = \"127.0.0.1\"\n[[bus.drive]]\nname = \"x\"\na
 pub fn bus(table: &mut Table<'_>, machine: &mut Machine) -> Box<dyn BusPlan> {
     let name = machine.bus_name(table, PROTOCOL);
     let bind = bind(table, machine, MASTER_PORT, None);
-    let send = send(table);
     let drives = drives(table, |table, _| drive(table, machine, bind));
-    Box::new(LinUdpPlan { name, bind: bind.unwrap_or(NOWHERE), send, drives })
+    Box::new(LinUdpPlan { name, bind: bind.unwrap_or(NOWHERE), drives })
 }
 
 const COUNTS: Counts =

@@ -139,8 +139,8 @@ mod tests {
 
     use super::*;
     use fieldbeat_core::net::Datagrams;
+    use fieldbeat_core::net::UdpOptions;
     use fieldbeat_core::net::udp::Udp;
-    use fieldbeat_core::net::{SendMode, UdpOptions};
     use fieldbeat_core::time::S;
 
     /// Sheet, 2.3 and 3.1: a control word alone, and the status word in reply.
@@ -159,8 +159,7 @@ mod tests {
         fn new(how: StopHow, on_timeout: StopTimeout) -> Bench {
             let drive = UdpSocket::bind("127.0.0.1:0").unwrap();
             drive.set_read_timeout(Some(Duration::from_secs(60))).unwrap();
-            let options =
-                UdpOptions { peers: 1, waiting: 0, room: 128, send: SendMode::Batch, dscp: 0, groups: 0 };
+            let options = UdpOptions { peers: 1, waiting: 0, room: 128, dscp: 0, groups: 0 };
             let master = Udp::bind("127.0.0.1:0".parse().unwrap(), &options).unwrap();
             let mut plan = LinUdpDrive::new("x", [127, 0, 0, 1].into());
             plan.address.set_port(drive.local_addr().unwrap().port());

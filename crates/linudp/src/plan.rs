@@ -8,7 +8,6 @@ use super::upid::Upid;
 use fieldbeat_core::axis::{AxisPlan, Faults, MonitorChannel, PlanFault, Units};
 use fieldbeat_core::bus::MOST_EARLIER;
 use fieldbeat_core::bus::variant::Variant;
-use fieldbeat_core::net::SendMode;
 use fieldbeat_core::time::{Ns, nanos};
 
 /// The master's port, source and destination of everything (manual, 4.3).
@@ -26,8 +25,6 @@ pub struct LinUdpPlan {
     pub name: String,
     /// Where the master listens and sends from.
     pub bind: SocketAddrV4,
-    /// One system call for all requests, or one each.
-    pub send: SendMode,
     /// The drives; one address each.
     pub drives: Vec<LinUdpDrive>,
 }
@@ -62,7 +59,7 @@ impl LinUdpPlan {
     /// A bus of these drives, with the master on the usual port of `bind`.
     pub fn new(bind: Ipv4Addr, drives: Vec<LinUdpDrive>) -> LinUdpPlan {
         let bind = SocketAddrV4::new(bind, MASTER_PORT);
-        LinUdpPlan { name: "linudp-v2".into(), bind, send: SendMode::default(), drives }
+        LinUdpPlan { name: "linudp-v2".into(), bind, drives }
     }
 
     /// This bus in another machine. A drive is due so rarely that it takes its stream, or has none.

@@ -37,8 +37,8 @@ use super::drives::Drives;
 use super::fault::{Datagram, DriveFault, Injected, Parcel, Queue};
 use super::{Carrier, FaultPlan, Simulated};
 use fieldbeat_core::net::{
-    Carriers, Datagrams, Frames, Groups, Outbox, Received, SendMode, Sent, Serial, SerialLine, StreamPeer,
-    Streams, UdpOptions,
+    Carriers, Datagrams, Frames, Groups, Outbox, Received, Sent, Serial, SerialLine, StreamPeer, Streams,
+    UdpOptions,
 };
 use fieldbeat_core::rt::{Clock, PollSet, Regions};
 use fieldbeat_core::time::Time;

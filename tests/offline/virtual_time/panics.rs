@@ -14,7 +14,6 @@ use fieldbeat::time::Time;
 use fieldbeat::{CyclePlan, Flow, Plan};
 use fieldbeat_core::cycle::engine::{Control, Engine};
 use fieldbeat_core::cycle::ring::Kept;
-use fieldbeat_core::net::SendMode;
 use fieldbeat_core::rt::{Clock, PollSet};
 use fieldbeat_master::{Assembly, assemble};
 use fieldbeat_sim::world::WorldClock;
@@ -78,7 +77,7 @@ impl Machine {
             let drives = vec![drive(index)];
             let bind = std::net::SocketAddrV4::new([127, 0, 1 + index as u8, 1].into(), 41136);
             let name = format!("bus{index}");
-            let plan = LinUdpPlan { name, bind, send: SendMode::Batch, drives };
+            let plan = LinUdpPlan { name, bind, drives };
             Fused::new(plan)
         };
         let buses = vec![bus(0), bus(1)];

@@ -20,9 +20,7 @@ use fieldbeat::telemetry::{Numbers, Status};
 use fieldbeat::time::Time;
 use fieldbeat::{Axes, Cycle, CyclePlan, Flow, Master, OpenError, Plan, Simulation};
 use fieldbeat_core::bus::Opened;
-use fieldbeat_core::net::{
-    Carriers, Datagrams, Outbox, Received, SendMode, Sent, StreamPeer, Streams, UdpOptions,
-};
+use fieldbeat_core::net::{Carriers, Datagrams, Outbox, Received, Sent, StreamPeer, Streams, UdpOptions};
 use fieldbeat_core::rt::Regions;
 use fieldbeat_linudp::wire::{REQUEST_MAX, RESPONSE_MAX, Request, Response};
 
@@ -230,7 +228,7 @@ pub fn drive(index: usize) -> LinUdpDrive {
 
 /// The bus of these drives.
 pub fn bus(drives: Vec<LinUdpDrive>) -> LinUdpPlan {
-    LinUdpPlan { name: "linudp".into(), bind: MASTER, send: SendMode::Batch, drives }
+    LinUdpPlan { name: "linudp".into(), bind: MASTER, drives }
 }
 
 /// The simulated drive at an address as most tests want it.

@@ -161,23 +161,10 @@ pub struct UdpOptions {
     pub waiting: usize,
     /// The longest datagram that has to fit.
     pub room: usize,
-    /// One system call for all requests, or one per request with its own stamp.
-    pub send: SendMode,
     /// Its requests are marked with this for switches and routers (DSCP, RFC 2474: 0 ... 63). 0: no mark.
     pub dscp: u8,
     /// The most multicast groups that it ever receives from: a group that was left keeps its socket.
     pub groups: usize,
-}
-
-/// How requests are handed to the kernel.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum SendMode {
-    /// `sendmmsg`: fewest system calls; every request is stamped with the begin of its batch, so that round trips are
-    /// never shown shorter than they are.
-    #[default]
-    Batch,
-    /// One `sendto` per request: an exact stamp for each.
-    Each,
 }
 
 /// The operating system's own carriers.

@@ -17,7 +17,7 @@ use std::sync::Arc;
 use nix::sys::socket::{setsockopt, sockopt};
 
 use super::groups::{GroupSockets, Source};
-use super::{Datagrams, Groups, Outbox, Received, SendMode, Sent, UdpOptions};
+use super::{Datagrams, Groups, Outbox, Received, Sent, UdpOptions};
 use crate::rt::{MonotonicClock, Regions};
 
 /// The most datagrams of one `sendmmsg`. The kernel takes 1024; 64 keep the arrays of a call within two pages, and the
@@ -66,7 +66,6 @@ impl UdpOptions {
 pub struct Udp {
     /// Its own socket, then those of its groups.
     sources: Vec<Source>,
-    mode: SendMode,
     inbox: Inbox,
     groups: Option<GroupSockets>,
 }
@@ -119,34 +118,16 @@ impl Udp {
         let groups = groups.transpose()?;
         let mut sources = Vec::with_capacity(1 + options.groups);
         sources.push(Source { socket: Arc::new(socket), reported: 0 });
-        Ok(Udp { sources, mode: options.send, inbox, groups })
+        Ok(Udp { sources, inbox, groups })
     }
 
     fn socket(&self) -> &UdpSocket {
         &self.sources[0].socket
     }
 
-    /// One `sendmmsg` per [`SEND_BATCH`] posted messages. The messages of a batch are sent, or charged with their
-    /// own error; the call resumes after a failing one. Each turn settles at least one message.
-    fn send_batches(&mut self, outbox: &mut Outbox) {
-        let mut next = 0;
-        loop {
-            let mut indices = [0; SEND_BATCH];
-            let mut count = 0;
-            while next < outbox.len() && count < SEND_BATCH {
-                if outbox.sent(next) == Sent::Posted {
-                    indices[count] = next;
-                    count += 1;
-                }
-                next += 1;
-            }
-            if count == 0 {
-                return;
-            }
-            self.send_batch(outbox, &indices[..count]);
-        }
-    }
-
+    /// The messages of a batch are sent, or charged with their own error; the call resumes after a failing one. All that
+    /// are sent are stamped with the begin of the batch, so that round trips are never shown shorter than they are. Each
+    /// turn settles at least one message.
     fn send_batch(&self, outbox: &mut Outbox, indices: &[usize]) {
         let mut peers = [const { MaybeUninit::<libc::sockaddr_in>::uninit() }; SEND_BATCH];
         let mut slices = [const { MaybeUninit::<libc::iovec>::uninit() }; SEND_BATCH];
@@ -184,20 +165,6 @@ impl Udp {
             } else {
                 outbox.note(indices[done], Sent::Failed(last_errno()));
                 done += 1;
-            }
-        }
-    }
-
-    /// One `sendto` for each posted message.
-    fn send_each(&mut self, outbox: &mut Outbox) {
-        for index in 0..outbox.len() {
-            if outbox.sent(index) == Sent::Posted {
-                let begin = MonotonicClock::read();
-                let sent = match self.socket().send_to(outbox.bytes(index), outbox.peer(index)) {
-                    Ok(_) => Sent::At(begin),
-                    Err(error) => Sent::Failed(error.raw_os_error().unwrap_or(libc::EIO)),
-                };
-                outbox.note(index, sent);
             }
         }
     }
@@ -292,10 +259,23 @@ impl Datagrams for Udp {
         Some(self.groups.as_ref().map_or(self.socket().as_raw_fd(), GroupSockets::fd))
     }
 
+    /// One `sendmmsg` per [`SEND_BATCH`] posted messages.
     fn send(&mut self, outbox: &mut Outbox) {
-        match self.mode {
-            SendMode::Batch => self.send_batches(outbox),
-            SendMode::Each => self.send_each(outbox),
+        let mut next = 0;
+        loop {
+            let mut indices = [0; SEND_BATCH];
+            let mut count = 0;
+            while next < outbox.len() && count < SEND_BATCH {
+                if outbox.sent(next) == Sent::Posted {
+                    indices[count] = next;
+                    count += 1;
+                }
+                next += 1;
+            }
+            if count == 0 {
+                return;
+            }
+            self.send_batch(outbox, &indices[..count]);
         }
     }
 

@@ -14,7 +14,7 @@ use fieldbeat_core::cycle::cost::{Costs, Exchange};
 use fieldbeat_core::net::frames::Frames;
 use fieldbeat_core::net::packet::Packet;
 use fieldbeat_core::net::udp::Udp;
-use fieldbeat_core::net::{Datagrams, Outbox, SendMode, UdpOptions};
+use fieldbeat_core::net::{Datagrams, Outbox, UdpOptions};
 use fieldbeat_core::rt::thread::helper_thread;
 use fieldbeat_core::rt::{Clock, MonotonicClock, RealtimeError};
 use fieldbeat_core::time::Time;
@@ -84,8 +84,7 @@ fn now() -> Time {
 
 /// A thread on another core answers, as drives would that are simulated there: each datagram may have to wake it.
 fn datagrams(core: usize) -> io::Result<Exchange> {
-    let options =
-        UdpOptions { peers: BATCH, waiting: 0, room: 128, send: SendMode::Batch, dscp: 0, groups: 0 };
+    let options = UdpOptions { peers: BATCH, waiting: 0, room: 128, dscp: 0, groups: 0 };
     let mut ours = Udp::bind(SocketAddrV4::new(Ipv4Addr::LOCALHOST, 0), &options)?;
     let theirs = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0))?;
     let SocketAddr::V4(peer) = theirs.local_addr()? else { return Err(ErrorKind::Unsupported.into()) };

@@ -123,12 +123,9 @@ impl Datagrams for Socket {
 
     fn send(&mut self, outbox: &mut Outbox) {
         let mut inner = self.world.lock();
-        let mut stamp = inner.read();
+        let stamp = inner.read();
         for index in 0..outbox.len() {
             if outbox.sent(index) == Sent::Posted {
-                if self.options.send == SendMode::Each {
-                    stamp = inner.read();
-                }
                 let (to, bytes) = (outbox.peer(index), outbox.bytes(index));
                 inner.depart(Datagram { from: self.address, to, bytes });
                 outbox.note(index, Sent::At(stamp));

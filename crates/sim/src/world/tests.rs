@@ -64,9 +64,8 @@ struct Master {
 }
 
 impl Master {
-    fn new(world: &World, count: u8, send: SendMode) -> Master {
-        let options =
-            UdpOptions { peers: usize::from(count), waiting: 0, room: 16, send, dscp: 0, groups: 0 };
+    fn new(world: &World, count: u8) -> Master {
+        let options = UdpOptions { peers: usize::from(count), waiting: 0, room: 16, dscp: 0, groups: 0 };
         let carrier = world.datagrams(MASTER, &options).unwrap();
         let outbox = Outbox::new(&(0..count).map(drive).collect::<Vec<_>>(), 16);
         Master { carrier, outbox }
@@ -96,7 +95,7 @@ fn reading_the_clock_takes_time_and_lets_things_happen() {
     let mut clock = world.clock();
     let begin = clock.now();
     assert_eq!(clock.now(), begin + 50);
-    let mut master = Master::new(&world, 1, SendMode::Batch);
+    let mut master = Master::new(&world, 1);
     master.send();
     // Polled without a wait in between: the reply comes all the same.
     while master.receive().is_empty() {}
@@ -104,13 +103,12 @@ fn reading_the_clock_takes_time_and_lets_things_happen() {
 }
 
 #[test]
-fn each_message_has_its_own_stamp_in_that_mode() {
+fn all_messages_of_a_batch_have_the_stamp_of_its_begin() {
     let world = world(3, FaultPlan::default(), WorldOptions::default());
-    let mut master = Master::new(&world, 3, SendMode::Each);
+    let mut master = Master::new(&world, 3);
     let t = world.now();
     master.send();
-    let sent: Vec<_> = (0..3).map(|k| master.outbox.sent(k)).collect();
-    assert_eq!(sent, [Sent::At(t + 100), Sent::At(t + 150), Sent::At(t + 200)]);
+    assert_eq!([0, 1, 2].map(|k| master.outbox.sent(k)), [Sent::At(t + 50); 3]);
 }
 
 #[test]
@@ -132,7 +130,7 @@ fn wake_ups_are_late_but_never_early() {
 #[test]
 fn a_foreign_datagram_comes_at_its_instant() {
     let world = world(1, FaultPlan::default(), WorldOptions { read_ns: 0, ..WorldOptions::default() });
-    let mut master = Master::new(&world, 0, SendMode::Batch);
+    let mut master = Master::new(&world, 0);
     let begin = world.now();
     world.inject(MASTER, UNKNOWN, &[9; 17], begin + MS);
     world.inject(drive(0), UNKNOWN, &[1], begin);
@@ -144,7 +142,7 @@ fn a_foreign_datagram_comes_at_its_instant() {
 #[test]
 fn what_finds_no_room_at_a_carrier_is_lost_and_counted() {
     let world = world(0, FaultPlan::default(), WorldOptions::default());
-    let mut master = Master::new(&world, 0, SendMode::Batch);
+    let mut master = Master::new(&world, 0);
     (0..INBOX + 7).for_each(|_| world.inject(MASTER, UNKNOWN, &[9], world.now()));
     world.advance(1);
     assert_eq!(master.carrier.dropped(), 7);
@@ -157,7 +155,7 @@ fn what_finds_no_room_at_a_carrier_is_lost_and_counted() {
 #[test]
 fn an_address_has_one_owner_until_it_is_dropped() {
     let world = world(1, FaultPlan::default(), WorldOptions::default());
-    let options = UdpOptions { peers: 1, waiting: 0, room: 16, send: SendMode::Batch, dscp: 0, groups: 0 };
+    let options = UdpOptions { peers: 1, waiting: 0, room: 16, dscp: 0, groups: 0 };
     let refused = |at| world.datagrams(at, &options).map(|_| ()).unwrap_err().kind();
     let first = world.datagrams(MASTER, &options).unwrap();
     assert_eq!(refused(MASTER), io::ErrorKind::AddrInUse);

@@ -8,7 +8,6 @@ use fieldbeat::sim::WorldOptions;
 use fieldbeat::time::US;
 use fieldbeat::{Axes, Cycle, CyclePlan, Flow, Guard, Master, Plan, Simulation, Wait};
 use fieldbeat_core::inputs::entry::{Head, Kind};
-use fieldbeat_core::net::SendMode;
 use fieldbeat_replay::machine::TaskOf;
 use fieldbeat_replay::{Replay, Verdict};
 
@@ -20,7 +19,7 @@ const DRIVES: usize = 2;
 
 fn bus() -> LinUdpPlan {
     let drives = (0..DRIVES).map(drive).collect();
-    LinUdpPlan { name: "linudp".into(), bind: MASTER, send: SendMode::Batch, drives }
+    LinUdpPlan { name: "linudp".into(), bind: MASTER, drives }
 }
 
 fn plan(wait: Wait) -> Plan {

@@ -8,8 +8,8 @@ fn address(x: u8, host: u8) -> SocketAddrV4 {
     SocketAddrV4::new(Ipv4Addr::new(127, 71, x, host), 41136)
 }
 
-fn options(peers: usize, send: SendMode) -> UdpOptions {
-    UdpOptions { peers, waiting: 0, room: 64, send, dscp: 0, groups: 0 }
+fn options(peers: usize) -> UdpOptions {
+    UdpOptions { peers, waiting: 0, room: 64, dscp: 0, groups: 0 }
 }
 
 fn peer(x: u8, host: u8) -> UdpSocket {
@@ -51,26 +51,24 @@ fn a_failing_message_hurts_no_other() {
         50 => Some(libc::EMSGSIZE),
         _ => None,
     };
-    for (x, mode) in [(3, SendMode::Batch), (4, SendMode::Each)] {
-        let mut udp = Udp::bind(address(x, 1), &options(100, mode)).unwrap();
-        let living = peer(x, 2);
-        let peer_of = |k| if fails(k) == Some(libc::EACCES) { forbidden } else { address(x, 2) };
-        let mut outbox = Outbox::new(&(0..100).map(peer_of).collect::<Vec<_>>(), 70_000);
-        for index in 0..100 {
-            outbox.room(index)[0] = index as u8;
-            outbox.set_length(index, if index == 50 { 70_000 } else { 1 });
-            outbox.post(index, true);
-        }
-        udp.send(&mut outbox);
-        let mut bytes = [0; 8];
-        for index in 0..100 {
-            match fails(index) {
-                Some(errno) => assert_eq!(outbox.sent(index), Sent::Failed(errno), "{index}"),
-                None => {
-                    assert!(matches!(outbox.sent(index), Sent::At(_)), "{index}");
-                    living.recv_from(&mut bytes).unwrap();
-                    assert_eq!(bytes[0], index as u8);
-                }
+    let mut udp = Udp::bind(address(3, 1), &options(100)).unwrap();
+    let living = peer(3, 2);
+    let peer_of = |k| if fails(k) == Some(libc::EACCES) { forbidden } else { address(3, 2) };
+    let mut outbox = Outbox::new(&(0..100).map(peer_of).collect::<Vec<_>>(), 70_000);
+    for index in 0..100 {
+        outbox.room(index)[0] = index as u8;
+        outbox.set_length(index, if index == 50 { 70_000 } else { 1 });
+        outbox.post(index, true);
+    }
+    udp.send(&mut outbox);
+    let mut bytes = [0; 8];
+    for index in 0..100 {
+        match fails(index) {
+            Some(errno) => assert_eq!(outbox.sent(index), Sent::Failed(errno), "{index}"),
+            None => {
+                assert!(matches!(outbox.sent(index), Sent::At(_)), "{index}");
+                living.recv_from(&mut bytes).unwrap();
+                assert_eq!(bytes[0], index as u8);
             }
         }
     }
@@ -79,7 +77,7 @@ fn a_failing_message_hurts_no_other() {
 #[test]
 fn a_dead_peer_on_a_living_host_is_no_error() {
     // Its ICMP answer would be a pending error on a connected socket.
-    let mut udp = Udp::bind(address(6, 1), &options(2, SendMode::Batch)).unwrap();
+    let mut udp = Udp::bind(address(6, 1), &options(2)).unwrap();
     let living = peer(6, 2);
     let mut outbox = outbox(&[address(6, 99), address(6, 2)]);
     for _ in 0..3 {
@@ -94,7 +92,7 @@ fn a_dead_peer_on_a_living_host_is_no_error() {
 
 #[test]
 fn what_the_kernel_dropped_is_counted_to_the_last_datagram() {
-    let mut udp = Udp::bind(address(10, 1), &options(1, SendMode::Batch)).unwrap();
+    let mut udp = Udp::bind(address(10, 1), &options(1)).unwrap();
     let unknown = peer(10, 200);
     let (mut sent, mut taken) = (0, 0);
     let mut burst = |udp: &mut Udp, count: usize, taken: &mut u64| {
@@ -122,30 +120,28 @@ fn what_the_kernel_dropped_is_counted_to_the_last_datagram() {
 
 #[test]
 fn a_peer_may_change_from_one_send_to_the_next() {
-    for (x, mode) in [(11, SendMode::Batch), (12, SendMode::Each)] {
-        let mut udp = Udp::bind(address(x, 1), &options(2, mode)).unwrap();
-        let peers = [2, 3].map(|host| peer(x, host));
-        let mut outbox = outbox(&[address(x, 2), address(x, 2)]);
-        let mut bytes = [0; 8];
-        udp.send(&mut outbox);
-        assert_eq!((peers[0].recv(&mut bytes).unwrap(), peers[0].recv(&mut bytes).unwrap()), (1, 1));
-        outbox.set_peer(1, address(x, 3));
-        assert_eq!((outbox.peer(0), outbox.peer(1)), (address(x, 2), address(x, 3)));
-        (0..2).for_each(|index| outbox.post(index, true));
-        udp.send(&mut outbox);
-        for (index, peer) in peers.iter().enumerate() {
-            peer.recv(&mut bytes).unwrap();
-            assert_eq!(bytes[0], index as u8);
-        }
+    let mut udp = Udp::bind(address(11, 1), &options(2)).unwrap();
+    let peers = [2, 3].map(|host| peer(11, host));
+    let mut outbox = outbox(&[address(11, 2), address(11, 2)]);
+    let mut bytes = [0; 8];
+    udp.send(&mut outbox);
+    assert_eq!((peers[0].recv(&mut bytes).unwrap(), peers[0].recv(&mut bytes).unwrap()), (1, 1));
+    outbox.set_peer(1, address(11, 3));
+    assert_eq!((outbox.peer(0), outbox.peer(1)), (address(11, 2), address(11, 3)));
+    (0..2).for_each(|index| outbox.post(index, true));
+    udp.send(&mut outbox);
+    for (index, peer) in peers.iter().enumerate() {
+        peer.recv(&mut bytes).unwrap();
+        assert_eq!(bytes[0], index as u8);
     }
 }
 
 #[test]
 fn requests_carry_their_mark_and_a_second_master_is_refused() {
     for (x, dscp, tos) in [(13, 0, 0), (14, 47, 0xBC), (15, 63, 0xFC)] {
-        let udp = Udp::bind(address(x, 1), &UdpOptions { dscp, ..options(1, SendMode::Batch) }).unwrap();
+        let udp = Udp::bind(address(x, 1), &UdpOptions { dscp, ..options(1) }).unwrap();
         assert_eq!(nix::sys::socket::getsockopt(udp.socket(), sockopt::Ipv4Tos).unwrap(), tos);
-        let second = Udp::bind(address(x, 1), &options(1, SendMode::Batch));
+        let second = Udp::bind(address(x, 1), &options(1));
         assert_eq!(second.map(|_| ()).unwrap_err().kind(), io::ErrorKind::AddrInUse);
     }
 }

@@ -64,8 +64,7 @@ impl Rig {
     fn new(drive: Producer) -> Rig {
         let drives: Vec<Box<dyn SimDrive>> = vec![Box::new(drive)];
         let world = World::new(drives, WorldOptions { read_ns: 0, ..WorldOptions::default() }).unwrap();
-        let options =
-            UdpOptions { peers: 1, waiting: 0, room: 16, send: SendMode::Batch, dscp: 0, groups: 1 };
+        let options = UdpOptions { peers: 1, waiting: 0, room: 16, dscp: 0, groups: 1 };
         let net = world.datagrams(Producer::packets(MASTER), &options).unwrap();
         let session = Requests::default();
         let peer = StreamPeer {

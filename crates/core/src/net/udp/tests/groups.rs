@@ -11,7 +11,7 @@ fn group(x: u8, number: u8) -> SocketAddrV4 {
 }
 
 fn carrier(x: u8, groups: usize) -> (Udp, Arc<dyn Groups>) {
-    let udp = Udp::bind(address(x, 1), &UdpOptions { groups, ..options(4, SendMode::Batch) }).unwrap();
+    let udp = Udp::bind(address(x, 1), &UdpOptions { groups, ..options(4) }).unwrap();
     let groups = udp.groups().unwrap();
     (udp, groups)
 }
