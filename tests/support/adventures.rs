@@ -25,7 +25,7 @@ use fieldbeat_linudp::wire::RtcCommand;
 use super::{LONG, Machine, simulated, until};
 
 /// The drives that live, on two buses; the others are `dead` and `refused`.
-const LIVING: [&str; 5] = ["d0", "d1", "d2", "d3", "each"];
+const LIVING: [&str; 5] = ["d0", "d1", "d2", "d3", "other"];
 /// The one of them that dies in every round.
 pub const VICTIM: usize = 3;
 
@@ -81,21 +81,21 @@ fn only_one() -> UnixListener {
     }
 }
 
-/// The same with what goes wrong on real sockets only, and with a bus that sends each request by a call of its own.
+/// The same with what goes wrong on real sockets only, and with a second bus.
 ///
 /// Nobody is at the address of `dead`: the kernel answers with an ICMP error. It refuses to send to that of `refused`,
 /// the broadcast address of the loopback, since the socket is none for broadcasts; `dead` stands behind it in the
 /// batch.
 pub fn drives_and_errors(machine: &Machine, period: &str, bucket: u32, victim: u32) -> PathBuf {
     let text = std::fs::read_to_string(drives(machine, period, bucket, victim)).unwrap();
-    let (own, dead, each) = (machine.ip(2), machine.ip(98), machine.ip(99));
+    let (own, dead, other) = (machine.ip(2), machine.ip(98), machine.ip(99));
     HELD.get_or_init(only_one);
     let text = text
         + &format!(
             "[[bus.drive]]\nname = \"refused\"\naddress = \"127.255.255.255\"\n\
              [[bus.drive]]\nname = \"dead\"\naddress = \"{dead}\"\n\
-             [[bus]]\nname = \"second\"\nprotocol = \"linudp-v2\"\nbind = \"{own}\"\nsend = \"each\"\n\
-             [[bus.drive]]\nname = \"each\"\naddress = \"{each}\"\ndivisor = 4\nphase = 1\nstream = \"off\"\n\
+             [[bus]]\nname = \"second\"\nprotocol = \"linudp-v2\"\nbind = \"{own}\"\n\
+             [[bus.drive]]\nname = \"other\"\naddress = \"{other}\"\ndivisor = 4\nphase = 1\nstream = \"off\"\n\
              limits = {{ position = [0, 400], velocity = 2000, acceleration = 20000 }}\n\
              health = {{ bucket = {bucket}, leak = 1, gate = 3, probe_interval = \"10ms\" }}\n"
         );

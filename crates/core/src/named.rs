@@ -15,7 +15,7 @@ macro_rules! named {
             pub const ALL: [$Name; [$($number),+].len()] = [$($Name::$Value),+];
 
             /// Its name in messages and reports.
-            pub fn name(self) -> &'static str {
+            pub const fn name(self) -> &'static str {
                 match self { $($Name::$Value => $text,)+ }
             }
         }

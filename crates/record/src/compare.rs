@@ -11,6 +11,7 @@ use serde::Serialize;
 use super::archive::Archive;
 use fieldbeat_core::time::Ns;
 use fieldbeat_telemetry::bins::Bins;
+use fieldbeat_telemetry::signals::{ROUND_TRIP, WAKE};
 
 /// Draws for an interval.
 const DRAWS: usize = 400;
@@ -118,14 +119,14 @@ pub fn compare(this: &Archive, earlier: &Archive) -> Vec<Compared> {
         ("p99.9", Measure::Quantile(0.999)),
         ("beyond the late limit", Measure::Above(this.late_ns)),
     ];
-    let mut compared = of_histograms("wake-up latency", &wakes(this), &wakes(earlier), &measures);
+    let mut compared = of_histograms(WAKE.name, &wakes(this), &wakes(earlier), &measures);
     for (place, drive) in this.drives.iter().enumerate() {
         let Some(other) = earlier.drives.iter().position(|other| other.name == drive.name) else { continue };
         let rtts = |run: &Archive, place: usize| {
             run.parts.iter().filter_map(|part| part.rtt.get(place).cloned()).collect::<Vec<_>>()
         };
         let (ours, theirs) = (rtts(this, place), rtts(earlier, other));
-        let what = format!("round trip of {}", drive.name);
+        let what = format!("{} of {}", ROUND_TRIP.name, drive.name);
         compared.extend(of_histograms(&what, &ours, &theirs, &measures[..2]));
     }
     compared

@@ -3,8 +3,8 @@
 use std::fmt::Write;
 
 use fieldbeat_core::cycle::status::Peak;
-use fieldbeat_core::time::US;
 use fieldbeat_telemetry::histograms::Quantity;
+use fieldbeat_telemetry::signals::shown;
 
 /// Lines for each halving of the distance to 100 %: what the tools of HdrHistogram take if nothing else is said.
 const TICKS_PER_HALF_DISTANCE: u32 = 5;
@@ -15,7 +15,6 @@ const TICKS_PER_HALF_DISTANCE: u32 = 5;
 /// upper end of a bin may be, and the last one, of 100 %, is that maximum, even if it was beyond the histogram or its
 /// record got lost. What lies where the histogram ends has no line but that last one.
 pub fn distribution(histogram: &Quantity, peak: Peak) -> String {
-    let us = |ns: f64| ns / US as f64;
     let mut text =
         format!("{:>12} {:>14} {:>10} {:>14}\n\n", "Value", "Percentile", "TotalCount", "1/(1-Percentile)");
     let mut total = 0;
@@ -27,20 +26,20 @@ pub fn distribution(histogram: &Quantity, peak: Peak) -> String {
         }
         // Writing into a string cannot fail.
         let _ = if quantile < 1.0 {
-            let value = us(step.value_iterated_to().min(peak.ns.max(1)) as f64);
+            let value = shown(step.value_iterated_to().min(peak.ns.max(1)) as f64);
             writeln!(text, "{value:12.3} {quantile:.12} {total:10} {:14.2}", 1.0 / (1.0 - quantile))
         } else {
-            writeln!(text, "{:12.3} {quantile:.12} {total:10}", us(peak.ns as f64))
+            writeln!(text, "{:12.3} {quantile:.12} {total:10}", shown(peak.ns as f64))
         };
     }
-    let (mean, deviation) = (us(histogram.bins().mean()), us(histogram.bins().stdev()));
+    let (mean, deviation) = (shown(histogram.bins().mean()), shown(histogram.bins().stdev()));
     let sub_buckets = (2 * 10_u32.pow(u32::from(histogram.bins().sigfig()))).next_power_of_two();
     let _ = write!(
         text,
         "#[Mean    = {mean:12.3}, StdDeviation   = {deviation:12.3}]\n\
          #[Max     = {:12.3}, Total count    = {total:12}]\n\
          #[Buckets = {:12}, SubBuckets     = {sub_buckets:12}]\n",
-        us(peak.ns as f64),
+        shown(peak.ns as f64),
         histogram.bins().buckets(),
     );
     text

@@ -9,8 +9,9 @@ use super::plots::chart::escape;
 use super::plots::{motion, percentiles, timeline, wake};
 use super::summary::{Carried, plural};
 use fieldbeat_core::time::{MS, Ns, three_digits};
+use fieldbeat_telemetry::Quantiles;
 use fieldbeat_telemetry::motion::Mark;
-use fieldbeat_telemetry::{Quantiles, Stage};
+use fieldbeat_telemetry::signals::{FOLLOWING_ERROR, kept_of_loop};
 
 /// The axes of so many drives are shown at once; those of more are opened one by one.
 const OPEN: usize = 8;
@@ -329,7 +330,7 @@ fn drives(run: &Archive) -> Table {
             "p99",
             "p99.9",
             "max",
-            "following error",
+            FOLLOWING_ERROR.name,
             " at the end",
         ],
         rows: rows.collect(),
@@ -338,14 +339,9 @@ fn drives(run: &Archive) -> Table {
 }
 
 fn loop_times(run: &Archive) -> Table {
-    let stages = Stage::ALL
-        .into_iter()
-        .zip(&run.stages)
-        .map(|(stage, sampled)| (format!("stage {}", stage.name()), sampled));
-    let all = [("wake-up latency".to_owned(), &run.wake), ("cycle jitter".to_owned(), &run.jitter)];
-    let rows = all.into_iter().chain(stages).map(|(name, sampled)| {
+    let rows = kept_of_loop([&run.wake, &run.jitter], None, &run.stages).map(|(kept, stage, sampled)| {
         let of = sampled.quantiles();
-        let cells: Vec<String> = [name].into_iter().chain(quantiles(&of)).collect();
+        let cells: Vec<String> = [kept.title(stage)].into_iter().chain(quantiles(&of)).collect();
         Row::from([cells, vec![of.count.to_string()]].concat())
     });
     Table {

@@ -24,9 +24,9 @@ use super::hgrm::distribution;
 use super::page::Page;
 use super::summary::Drive;
 use crate::summary::Summary;
-use fieldbeat_core::cycle::record::Stage;
 use fieldbeat_core::errors::no_descriptor;
 use fieldbeat_telemetry::Run;
+use fieldbeat_telemetry::signals::{JITTER, KEPT_OF_DRIVE, PHASE_ERROR, STAGE, WAKE, kept_of_loop};
 
 /// The page and the files next to it.
 const FILES: [&str; 3] = ["index.html", "summary.json", "run.json"];
@@ -177,25 +177,17 @@ impl Report {
 /// The histograms of a run: file names and texts.
 fn histograms(run: &Run) -> Vec<(String, String)> {
     let (status, histograms) = (&run.end.status, &run.measured.histograms);
-    let mut files = vec![
-        ("wake.hgrm".to_owned(), distribution(&histograms.wake, status.wake_max)),
-        ("jitter.hgrm".to_owned(), distribution(&histograms.jitter, status.jitter_max)),
-    ];
-    if let Some(reference) = &status.reference {
-        files.push(("reference.hgrm".to_owned(), distribution(&histograms.reference, reference.error_max)));
-    }
-    for stage in Stage::ALL {
-        let text = distribution(histograms.stage(stage), status.stage_max[stage as usize]);
-        files.push((format!("stage-{}.hgrm", stage.name()), text));
-    }
-    for (drive, measured) in run.end.drives.iter().zip(&histograms.drives) {
-        let (name, peaks) = (&drive.name, &drive.peaks);
-        files.push((format!("rtt-{name}.hgrm"), distribution(&measured.rtt, peaks.rtt)));
-        let text = distribution(&measured.send_jitter, peaks.send_jitter);
-        files.push((format!("send-jitter-{name}.hgrm"), text));
-        files.push((format!("age-{name}.hgrm"), distribution(&measured.age, peaks.age)));
-    }
-    files
+    let once = [(&histograms.wake, status.wake_max), (&histograms.jitter, status.jitter_max)];
+    let reference = status.reference.as_ref().map(|of| (&histograms.reference, of.error_max));
+    let stages = histograms.stages.iter().zip(status.stage_max);
+    let of_loop = kept_of_loop(once, reference, stages)
+        .map(|(of, stage, (quantity, peak))| (of.file(stage), distribution(quantity, peak)));
+    let of_drives = run.end.drives.iter().zip(&histograms.drives).flat_map(|(drive, measured)| {
+        KEPT_OF_DRIVE.map(|(of, quantity, peak)| {
+            (of.file(&drive.name), distribution(quantity(measured), peak(&drive.peaks)))
+        })
+    });
+    of_loop.chain(of_drives).collect()
 }
 
 /// An earlier run, with the name by which a report calls it.
@@ -233,9 +225,8 @@ fn verdict(summary: &Summary) -> String {
 
 /// Whether a histogram, or a plot of an earlier version, has that name; see the table above.
 fn is_ours(name: &str) -> bool {
-    let histogram = |name: &str| {
-        ["wake", "jitter", "reference"].contains(&name)
-            || ["stage-", "rtt-", "send-jitter-", "age-"].iter().any(|kind| name.starts_with(kind))
-    };
-    name.strip_suffix(".hgrm").is_some_and(histogram) || PLOTS.contains(&name)
+    let mut of_parts = KEPT_OF_DRIVE.iter().map(|(of, ..)| of).chain([&STAGE]);
+    let mut is_part = || of_parts.any(|of| name.starts_with(&format!("{}-", of.file)));
+    let is_histogram = |name: &str| [WAKE, JITTER, PHASE_ERROR].iter().any(|of| of.file == name) || is_part();
+    name.strip_suffix(".hgrm").is_some_and(is_histogram) || PLOTS.contains(&name)
 }

@@ -9,12 +9,13 @@ use serde_json::{Value, json};
 use tokio::sync::{broadcast, watch};
 
 use super::samples::{Assembler, Block};
-use super::signals::signals;
+use super::signals::{plots, signals};
 use fieldbeat_control::{About, Happened, NEWS_EVERY, News, Operator, Part, Watched};
 use fieldbeat_core::axis::{Command, State};
 use fieldbeat_core::cycle::record::{CycleRecord, DriveRecord, Record};
 use fieldbeat_core::time::S;
 use fieldbeat_record::blackbox::file::Header;
+use fieldbeat_telemetry::signals::{COMMAND, STATE, TIME};
 
 /// How often a master is looked for.
 const LOOK_EVERY: Duration = Duration::from_millis(300);
@@ -107,6 +108,7 @@ struct Attached<'a> {
 impl<'a> Attached<'a> {
     fn new(feed: &'a Feed, about: About) -> Attached<'a> {
         let About { pid, epoch_ns, header, .. } = about;
+        let signals = signals(&header);
         feed.introduce(&json!({ "machine": {
             "pid": pid,
             "epoch_ns": epoch_ns.to_string(),
@@ -115,9 +117,10 @@ impl<'a> Attached<'a> {
             "period_ns": header.period_ns,
             "late_ns": header.late_ns,
             "axes": header.axes.iter().map(|axis| json!({ "name": axis.name, "unit": axis.unit })).collect::<Value>(),
-            "signals": signals(&header),
-            "states": State::ALL.map(State::name),
-            "commands": Command::NAMES,
+            "signals": signals,
+            "time_unit": TIME,
+            "plots": plots(&signals),
+            "names": { (STATE.name): State::ALL.map(State::name), (COMMAND.name): Command::NAMES },
         }}));
         Attached {
             feed,

@@ -38,19 +38,13 @@ impl Assembler {
             self.values.clear();
             self.index = record.index();
         }
-        match record {
-            Record::Drive(drive) => self.values.drive(drive),
-            Record::Monitor(monitor) => self.values.monitor(monitor),
-            Record::Reference(reference) => self.values.reference(reference),
-            Record::Cycle(cycle) => {
-                self.values.cycle(cycle);
-                self.block.times.push(cycle.grid.0 as f64 / S as f64);
-                self.block.cycles.push(cycle.index as f64);
-                for (column, value) in self.block.columns.iter_mut().zip(self.values.all()) {
-                    column.push(*value);
-                }
+        self.values.enter(record);
+        if let Record::Cycle(cycle) = record {
+            self.block.times.push(cycle.grid.0 as f64 / S as f64);
+            self.block.cycles.push(cycle.index as f64);
+            for (column, value) in self.block.columns.iter_mut().zip(self.values.all()) {
+                column.push(*value);
             }
-            Record::Skipped(_) | Record::Command(_) | Record::Event(_) | Record::Native(_) => {}
         }
     }
 

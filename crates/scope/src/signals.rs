@@ -2,9 +2,12 @@
 
 use serde::Serialize;
 
-use fieldbeat_core::axis::{Link, MONITOR_CHANNELS};
-use fieldbeat_core::cycle::record::{CycleRecord, DriveRecord, MonitorRecord, ReferenceRecord, Stage};
+use fieldbeat_core::axis::MONITOR_CHANNELS;
+use fieldbeat_core::cycle::record::{MonitorRecord, Record};
 use fieldbeat_record::blackbox::file::{Axis, Header};
+use fieldbeat_telemetry::signals::{
+    self, DEMAND, END, FOLLOWING_ERROR, OF_AXIS, OF_CYCLE, OF_REFERENCE, POSITION, VELOCITY, WAKE,
+};
 
 /// A signal. Its number is its place in the list.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
@@ -17,44 +20,34 @@ pub struct Signal {
     pub unit: String,
 }
 
-/// Signals of the loop: wake-up latency, jitter, the stages, their end, missed replies, and the phase of the reference.
-const OF_LOOP: usize = 5 + Stage::ALL.len();
-const PHASE: usize = OF_LOOP - 1;
+impl Signal {
+    fn new<R>(axis: Option<usize>, of: &signals::Signal<R>, unit_of_axis: &str) -> Signal {
+        Signal { axis, name: of.name.to_owned(), unit: of.unit(unit_of_axis) }
+    }
+}
 
-/// Signals of an axis without its monitored variables.
-const OF_DRIVE: usize = 11;
-const OF_AXIS: usize = OF_DRIVE + MONITOR_CHANNELS;
+/// So many signals the loop has: those of a cycle, and that of the reference.
+const OF_LOOP: usize = OF_CYCLE.len() + 1;
+
+/// Signals of an axis, with its monitored variables.
+const EACH: usize = OF_AXIS.len() + MONITOR_CHANNELS;
 
 /// All signals of a machine.
 pub fn signals(header: &Header) -> Vec<Signal> {
-    let of_loop = |name: &str, unit: &str| Signal { axis: None, name: name.into(), unit: unit.into() };
-    let mut all = vec![of_loop("wake-up", "us"), of_loop("jitter", "us")];
-    all.extend(Stage::ALL.map(|stage| of_loop(stage.name(), "us")));
-    all.extend([of_loop("end", "us"), of_loop("missed", ""), of_loop("reference", "us")]);
+    let mut all: Vec<Signal> = OF_CYCLE.iter().map(|of| Signal::new(None, of, "")).collect();
+    all.push(Signal::new(None, &OF_REFERENCE, ""));
     for (axis, of) in header.axes.iter().enumerate() {
-        let signal = |name: &str, unit: String| Signal { axis: Some(axis), name: name.to_owned(), unit };
-        let (unit, us) = (&of.unit, || "us".to_owned());
-        all.extend([
-            signal("demand", unit.clone()),
-            signal("position", unit.clone()),
-            signal("following error", unit.clone()),
-            signal("velocity", format!("{unit}/s")),
-            signal("current", "A".to_owned()),
-            signal("state", String::new()),
-            signal("command", String::new()),
-            signal("round trip", us()),
-            signal("age", us()),
-            signal("sent", us()),
-            signal("online", String::new()),
-        ]);
-        let first = all.len() - OF_DRIVE;
+        let first = all.len();
+        all.extend(OF_AXIS.iter().map(|signal| Signal::new(Some(axis), signal, &of.unit)));
+        let monitored =
+            |name: &str, unit: &str| Signal { axis: Some(axis), name: name.into(), unit: unit.into() };
         for channel in &of.monitor {
             let Some(of) = channel else {
                 // It keeps its number, and has no name.
-                all.push(signal("", String::new()));
+                all.push(monitored("", ""));
                 continue;
             };
-            let mut one = signal(&of.name, of.unit.clone());
+            let mut one = monitored(&of.name, &of.unit);
             // The page and its files know a signal by its name.
             while all[first..].iter().any(|other| parts(&other.name).eq(parts(&one.name))) {
                 one.name.push_str(" 2");
@@ -65,6 +58,19 @@ pub fn signals(header: &Header) -> Vec<Signal> {
     all
 }
 
+/// The plots of a browser that has kept none, each with the numbers of its signals: of the first axes, and of the loop.
+pub fn plots(signals: &[Signal]) -> Vec<Vec<usize>> {
+    let numbers = |axes: &[Option<usize>], names: &[&str]| -> Vec<usize> {
+        let wanted = axes.iter().flat_map(|axis| names.iter().map(move |name| (*axis, *name)));
+        let number = |(axis, name)| signals.iter().position(|of| of.axis == axis && of.name == name);
+        wanted.filter_map(number).collect()
+    };
+    let of_axes = |names: &[&str]| numbers(&[Some(0), Some(1)], names);
+    let of_axes = [&[DEMAND.name, POSITION.name][..], &[FOLLOWING_ERROR.name], &[VELOCITY.name]].map(of_axes);
+    let of_loop = numbers(&[None], &[WAKE.name, END.name]);
+    of_axes.into_iter().chain([of_loop]).filter(|plot| !plot.is_empty()).collect()
+}
+
 /// A name but for what keeps its parts apart, which a file has as underscores.
 fn parts(name: &str) -> impl Iterator<Item = &str> {
     name.split(|letter: char| !letter.is_ascii_alphanumeric()).filter(|part| !part.is_empty())
@@ -72,16 +78,12 @@ fn parts(name: &str) -> impl Iterator<Item = &str> {
 
 /// How many signals a machine of so many axes has.
 pub fn count(axes: usize) -> usize {
-    OF_LOOP + axes * OF_AXIS
+    OF_LOOP + axes * EACH
 }
 
 /// The axis of a signal; `None` = the loop.
 pub fn axis_of(signal: usize) -> Option<usize> {
-    signal.checked_sub(OF_LOOP).map(|place| place / OF_AXIS)
-}
-
-fn us(ns: u32) -> f64 {
-    f64::from(ns) / 1e3
+    signal.checked_sub(OF_LOOP).map(|place| place / EACH)
 }
 
 /// The values of a cycle's signals, all of them NaN before.
@@ -109,55 +111,36 @@ impl Values {
         &self.all
     }
 
-    /// Those of the loop.
-    pub fn cycle(&mut self, record: &CycleRecord) {
-        let end = record.stages_ns.iter().fold(us(record.wake_ns), |end, ns| end + us(*ns));
-        let stages = record.stages_ns.map(us);
-        let values = [us(record.wake_ns), us(record.jitter_ns)].into_iter().chain(stages);
-        let values = values.chain([end, f64::from(record.missed)]);
-        self.all.iter_mut().zip(values).for_each(|(to, value)| *to = value);
+    /// Takes in those of a record.
+    pub fn enter(&mut self, record: &Record) {
+        match record {
+            Record::Cycle(record) => self.put(0, OF_CYCLE.map(|of| (of.value)(record, None))),
+            Record::Reference(record) => self.put(OF_CYCLE.len(), [(OF_REFERENCE.value)(record, None)]),
+            Record::Drive(record) => {
+                let axis = usize::from(record.axis);
+                let modulo = self.modulos.get(axis).copied().flatten();
+                self.put(count(axis), OF_AXIS.map(|of| (of.value)(record, modulo)));
+            }
+            Record::Monitor(MonitorRecord { axis, shown, .. }) => {
+                let values = shown.values().map(|value| value.unwrap_or(f64::NAN));
+                self.put(count(usize::from(*axis)) + OF_AXIS.len(), values);
+            }
+            Record::Skipped(_) | Record::Command(_) | Record::Event(_) | Record::Native(_) => {}
+        }
     }
 
-    /// That of the clock that leads the grid.
-    pub fn reference(&mut self, record: &ReferenceRecord) {
-        self.all[PHASE] = record.error_ns.map_or(f64::NAN, |ns| f64::from(ns) / 1e3);
-    }
-
-    /// Those of a drive.
-    pub fn drive(&mut self, record: &DriveRecord) {
-        let short = |ns: Option<std::num::NonZeroU32>| ns.map_or(f64::NAN, |ns| us(ns.get()));
-        let modulo = self.modulos.get(usize::from(record.axis)).copied().flatten();
-        let values = [
-            record.reported(record.demand),
-            record.reported(record.position),
-            record.following_error(modulo),
-            record.reported(record.velocity.into()),
-            record.reported(record.current.into()),
-            f64::from(record.state as u8),
-            f64::from(record.command),
-            short(record.rtt_ns),
-            short(record.age_ns),
-            short(record.phase_ns),
-            f64::from(u8::from(record.link == Link::Online)),
-        ];
-        self.of_axis(record.axis, 0).iter_mut().zip(values).for_each(|(to, value)| *to = value);
-    }
-
-    /// Those of its monitored variables.
-    pub fn monitor(&mut self, record: &MonitorRecord) {
-        let values = record.shown.values().map(|value| value.unwrap_or(f64::NAN));
-        self.of_axis(record.axis, OF_DRIVE).iter_mut().zip(values).for_each(|(to, value)| *to = value);
-    }
-
-    fn of_axis(&mut self, axis: u16, from: usize) -> &mut [f64] {
-        let begin = count(usize::from(axis));
-        self.all.get_mut(begin + from..begin + OF_AXIS).unwrap_or_default()
+    /// Those from a number on; of an axis that is not there, none.
+    fn put(&mut self, first: usize, values: impl IntoIterator<Item = f64>) {
+        let places = self.all.get_mut(first..).unwrap_or_default();
+        places.iter_mut().zip(values).for_each(|(to, value)| *to = value);
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use fieldbeat_core::axis::Link;
+    use fieldbeat_core::cycle::record::{CycleRecord, DriveRecord, ReferenceRecord};
     use fieldbeat_record::blackbox::file::Channel;
 
     #[test]
@@ -173,8 +156,10 @@ mod tests {
         assert_eq!(["current", "current 2", "Current 2"].map(second), [1; 3]);
         let mut values = Values::new(&header.axes);
         let stages_ns = [1_000, 2_000, 3_000, 4_000, 5_000, 6_000];
-        values.cycle(&CycleRecord { wake_ns: 9_000, stages_ns, missed: 3, ..CycleRecord::default() });
-        values.reference(&ReferenceRecord { error_ns: Some(-500), ..ReferenceRecord::default() });
+        let cycle = CycleRecord { wake_ns: 9_000, stages_ns, missed: 3, ..CycleRecord::default() };
+        values.enter(&Record::Cycle(cycle));
+        let reference = ReferenceRecord { error_ns: Some(-500), ..ReferenceRecord::default() };
+        values.enter(&Record::Reference(reference));
         let drive = DriveRecord {
             axis: 1,
             link: Link::Online,
@@ -183,11 +168,11 @@ mod tests {
             command: 4,
             ..DriveRecord::default()
         };
-        values.drive(&drive);
+        values.enter(&Record::Drive(drive));
         let shown = [None, Some(70.0), None, None].into();
-        values.monitor(&MonitorRecord { axis: 1, shown, ..MonitorRecord::default() });
+        values.enter(&Record::Monitor(MonitorRecord { axis: 1, shown, ..MonitorRecord::default() }));
         // Of an axis that is not there: nowhere.
-        values.drive(&DriveRecord { axis: 2, demand: 1.0, ..drive });
+        values.enter(&Record::Drive(DriveRecord { axis: 2, demand: 1.0, ..drive }));
         let value = |axis, name: &str| {
             let place = signals.iter().position(|signal| signal.axis == axis && signal.name == name);
             let place = place.unwrap_or_else(|| panic!("no {name}"));
@@ -195,12 +180,12 @@ mod tests {
             values.all()[place]
         };
         for (name, expected) in [
-            ("wake-up", 9.0),
+            ("wake-up latency", 9.0),
             ("send", 1.0),
             ("publish", 6.0),
             ("end", 30.0),
             ("missed", 3.0),
-            ("reference", -0.5),
+            ("phase error", -0.5),
         ] {
             assert_eq!(value(None, name), expected, "{name}");
         }
@@ -212,6 +197,13 @@ mod tests {
         assert!(value(Some(0), "position").is_nan() && value(Some(1), "round trip").is_nan());
         values.clear();
         assert!(values.all().iter().all(|value| value.is_nan()));
+        let name = |place: &usize| (signals[*place].axis, &*signals[*place].name);
+        let shown: Vec<Vec<_>> = plots(&signals).iter().map(|plot| plot.iter().map(name).collect()).collect();
+        let pair = |name| vec![(Some(0), name), (Some(1), name)];
+        let positions = [0, 1].map(|axis| [(Some(axis), "demand"), (Some(axis), "position")]).concat();
+        let of_loop = vec![(None, "wake-up latency"), (None, "end")];
+        assert_eq!(shown, [positions, pair("following error"), pair("velocity"), of_loop]);
+        assert_eq!(plots(&signals[..OF_LOOP]), [[0, 8]]);
     }
 
     #[test]
@@ -220,12 +212,12 @@ mod tests {
         let drive =
             DriveRecord { demand: 1.0, position: 359.0, link: Link::Online, ..DriveRecord::default() };
         for (demand, position, error) in [(1.0, 359.0, 2.0), (359.0, 1.0, -2.0), (90.0, 80.0, 10.0)] {
-            values.drive(&DriveRecord { demand, position, ..drive });
+            values.enter(&Record::Drive(DriveRecord { demand, position, ..drive }));
             assert_eq!(values.all()[count(0) + 2], error);
         }
-        values.drive(&DriveRecord { axis: 1, ..drive });
+        values.enter(&Record::Drive(DriveRecord { axis: 1, ..drive }));
         assert_eq!(values.all()[count(1) + 2], -358.0);
-        values.drive(&DriveRecord { link: Link::Unseen, ..drive });
+        values.enter(&Record::Drive(DriveRecord { link: Link::Unseen, ..drive }));
         let (reported, known) = values.all()[count(0)..].split_at(5);
         assert!(reported.iter().all(|value| value.is_nan()));
         // The state, and that no command runs.

@@ -10,6 +10,7 @@ use fieldbeat_record::compare::{percent, significant};
 use fieldbeat_record::summary::{Carried, Share};
 use fieldbeat_telemetry::bins::Bins;
 use fieldbeat_telemetry::parts::together;
+use fieldbeat_telemetry::signals::{ROUND_TRIP, WAKE};
 
 /// One criterion.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -231,13 +232,13 @@ fn drifts(run: &Archive, limit: f64) -> Vec<Judged> {
         Judged::share("drift", value, limit).note(note)
     };
     let wake = drift(&first.wake, &last.wake);
-    let wake = Judged { note: format!("wake-up latency: {}", wake.note), ..wake };
+    let wake = Judged { note: format!("{}: {}", WAKE.name, wake.note), ..wake };
     let rtts = run.drives.iter().zip(first.rtt.iter().zip(&last.rtt));
     [wake]
         .into_iter()
         .chain(rtts.map(|(drive, (first, last))| {
             let judged = drift(first, last).of(&drive.name);
-            Judged { note: format!("round trip: {}", judged.note), ..judged }
+            Judged { note: format!("{}: {}", ROUND_TRIP.name, judged.note), ..judged }
         }))
         .collect()
 }

@@ -7,6 +7,7 @@
 //! | `tap` | further readers of the records |
 //! | `sink` | what takes all of them down, on a thread of its own |
 //! | `histograms` | every quantity, and the quantiles that its sample supports |
+//! | `signals` | the names, units and scales of all that is measured |
 //! | `timeline` | the largest values over time |
 //! | `motion` | how the axes moved, and what happened to them |
 //! | `stretches` | values over the time of a run in bounded memory |
@@ -25,6 +26,7 @@ pub mod log;
 pub mod monitor;
 pub mod motion;
 pub mod parts;
+pub mod signals;
 pub mod sink;
 mod stretches;
 pub mod tap;

@@ -1,6 +1,7 @@
 //! What the panel looks like.
 
 use fieldbeat_control::{AxisFacts, AxisState};
+use fieldbeat_telemetry::signals::{COMMAND, CURRENT, DEMAND, POSITION, STATE, VELOCITY};
 use ratatui::Frame;
 use ratatui::layout::{Constraint, Layout, Rect};
 use ratatui::style::{Color, Modifier, Style};
@@ -98,7 +99,7 @@ fn list(panel: &Panel, listed: usize) -> Vec<Line<'_>> {
             state.state,
             state.link,
             value(state.position, &facts.unit),
-            value(state.velocity, &format!("{}/s", facts.unit)),
+            value(state.velocity, &VELOCITY.unit(&facts.unit)),
         );
         let style = match condition(state) {
             Condition::Bad => marked(panel, Color::Red),
@@ -130,7 +131,7 @@ fn condition(state: &AxisState) -> Condition {
 /// All that is known of the selected axis.
 fn details<'a>(panel: &Panel, facts: &'a AxisFacts, state: &'a AxisState) -> Vec<Line<'a>> {
     let unit = &facts.unit;
-    let speed = format!("{unit}/s");
+    let speed = VELOCITY.unit(unit);
     let alarm = |text: String, bad: bool| {
         Span::styled(text, if bad { marked(panel, Color::Red) } else { Style::new() })
     };
@@ -150,7 +151,7 @@ fn details<'a>(panel: &Panel, facts: &'a AxisFacts, state: &'a AxisState) -> Vec
     let commands = if state.commands.is_empty() { "none".to_owned() } else { state.commands.join(", ") };
     vec![
         Line::from(vec![
-            Span::raw(label("state")),
+            Span::raw(label(STATE.name)),
             Span::styled(state.state.as_str(), marked(panel, Color::Cyan)),
             Span::raw(match panel.enabling {
                 None => "",
@@ -158,21 +159,23 @@ fn details<'a>(panel: &Panel, facts: &'a AxisFacts, state: &'a AxisState) -> Vec
                 Some(Enabling::Released) => "   enabling device not held",
                 Some(Enabling::Lost) => "   enabling device lost",
             }),
-            Span::raw(format!("   command {commands}")),
+            Span::raw(format!("   {} {commands}", COMMAND.name)),
         ]),
         Line::from(vec![Span::raw(label("link")), alarm(link, state.link != "online")]),
         Line::raw(format!(
-            "{}{}   demand {}",
-            label("position"),
+            "{}{}   {} {}",
+            label(POSITION.name),
             value(state.position, unit),
+            DEMAND.name,
             value(state.demand, unit)
         )),
         Line::raw(format!("{}{}", label("limits"), bar(facts, state))),
         Line::raw(format!(
-            "{}{}   limit {limit}   current {}",
-            label("velocity"),
+            "{}{}   limit {limit}   {} {}",
+            label(VELOCITY.name),
             value(state.velocity, &speed),
-            value(state.current, "A")
+            CURRENT.name,
+            value(state.current, &CURRENT.unit(unit))
         )),
         Line::from(vec![
             Span::raw(label("inputs")),

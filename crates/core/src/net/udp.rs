@@ -125,9 +125,9 @@ impl Udp {
         &self.sources[0].socket
     }
 
-    /// The messages of a batch are sent, or charged with their own error; the call resumes after a failing one. All that
-    /// are sent are stamped with the begin of the batch, so that round trips are never shown shorter than they are. Each
-    /// turn settles at least one message.
+    /// One `sendmmsg`. Its messages are sent, or charged with their own error; the call resumes after a failing one,
+    /// and each turn settles at least one. All that are sent are stamped with the begin of the batch, so that round
+    /// trips are never shown shorter than they are.
     fn send_batch(&self, outbox: &mut Outbox, indices: &[usize]) {
         let mut peers = [const { MaybeUninit::<libc::sockaddr_in>::uninit() }; SEND_BATCH];
         let mut slices = [const { MaybeUninit::<libc::iovec>::uninit() }; SEND_BATCH];
@@ -259,7 +259,6 @@ impl Datagrams for Udp {
         Some(self.groups.as_ref().map_or(self.socket().as_raw_fd(), GroupSockets::fd))
     }
 
-    /// One `sendmmsg` per [`SEND_BATCH`] posted messages.
     fn send(&mut self, outbox: &mut Outbox) {
         let mut next = 0;
         loop {

@@ -13,10 +13,11 @@ use fieldbeat_core::axis::{Link, MonitorChannel};
 use fieldbeat_core::bus::facts::of_drives;
 use fieldbeat_core::bus::{BusClock, BusFacts, OwnCounter, Unmatched};
 use fieldbeat_core::cycle::record::Stage;
-use fieldbeat_core::cycle::status::{DeviceEnd, DriveEnd, Numbers, ReferenceStatus, Status};
+use fieldbeat_core::cycle::status::{DeviceEnd, DriveEnd, Numbers, Peak, ReferenceStatus, Status};
 use fieldbeat_core::rt::host;
 use fieldbeat_core::time::{MS, S, US};
-use fieldbeat_telemetry::histograms::{DriveHistograms, Quantity};
+use fieldbeat_telemetry::histograms::Quantity;
+use fieldbeat_telemetry::signals::{JITTER, KEPT_OF_DRIVE, Kept, PHASE_ERROR, STAGE, WAKE};
 use fieldbeat_telemetry::{Histograms, Measured, Monitor};
 
 /// Upper ends of the buckets, us: three a decade, from what a tuned loop wakes with to what a lost one does.
@@ -47,12 +48,18 @@ impl Collector for Machine {
         sheet.host(monitor)?;
         sheet.values((Time, "cycle_period", "The period of the cycle."), [([], plan.cycle.period_ns)])?;
         sheet.numbers(&STATUS, [([], status)])?;
-        let stages = Stage::ALL.map(|stage| ([("stage", stage.name())], status.stage_max[stage as usize].ns));
-        sheet.values((Time, "stage_max", "The longest time of each stage."), stages)?;
+        sheet.maximum(&WAKE, [([], status.wake_max)])?;
+        sheet.maximum(&JITTER, [([], status.jitter_max)])?;
+        sheet.maximum(&STAGE, of_stages(status.stage_max))?;
         let led = plan.cycle.reference.as_deref().map(|bus| [("bus", bus)]);
-        sheet.numbers(&REFERENCE, led.zip(status.reference.as_ref()))?;
+        let reference = led.zip(status.reference.as_ref());
+        sheet.numbers(&REFERENCE, reference)?;
+        sheet.maximum(&PHASE_ERROR, reference.map(|(labels, of)| (labels, of.error_max)))?;
         let named = || drives.iter().map(|drive| (name_of(drive), drive));
         sheet.numbers(&DRIVE, named())?;
+        for (kept, _, peak) in KEPT_OF_DRIVE {
+            sheet.maximum(&kept, named().map(|(labels, drive)| (labels, peak(&drive.peaks))))?;
+        }
         sheet.protocols(&facts, drives)?;
         let connected = named().enumerate().filter(|(index, _)| monitor.has_connection(*index));
         sheet.numbers(&CONNECTION, connected.map(|(_, drive)| drive))?;
@@ -70,11 +77,7 @@ impl Collector for Machine {
         sheet.numbers(&CLOCK, clocks)?;
         monitor.measured(|Measured { histograms, causes, .. }| {
             sheet.histograms(histograms, drives)?;
-            sheet.distributions(
-                "reference_error",
-                "Phase errors of the grid, late or early, since its first lock.",
-                led.map(|labels| (labels, &histograms.reference)),
-            )?;
+            sheet.distributions(&PHASE_ERROR, led.map(|labels| (labels, &histograms.reference)))?;
             let found: Vec<Found> = causes.ranked().iter().map(|tally| Found::of(tally, plan)).collect();
             sheet.causes(&found)
         })
@@ -94,7 +97,7 @@ enum Kind {
 
 use Kind::{Count, Gauge, Time};
 
-const STATUS: [Field<Status>; 11] = [
+const STATUS: [Field<Status>; 9] = [
     (Count, "cycles_planned", "Slots of the grid.", |of| of.planned),
     (Count, "cycles_executed", "Cycles executed.", |of| of.executed),
     (Count, "cycles_skipped", "Slots skipped.", |of| of.skipped),
@@ -104,25 +107,20 @@ const STATUS: [Field<Status>; 11] = [
     (Count, "events_lost", EVENTS_LOST, |of| of.lost_events),
     (Gauge, "axes_online", "Axes online.", |of| of.online.into()),
     (Gauge, "axes_operational", "Axes in operation.", |of| of.operational.into()),
-    (Time, "wake_up_max", LONGEST_WAKE_UP, |of| of.wake_max.ns),
-    (Time, "cycle_jitter_max", "Largest jitter of the cycle.", |of| of.jitter_max.ns),
 ];
 const RECORDS_LOST: &str = "Records lost before the histograms: the telemetry ring was full.";
 const EVENTS_LOST: &str = "Events and samples lost because a queue of the application was full.";
-const LONGEST_WAKE_UP: &str = "Largest wake-up latency: start of a cycle after its grid point.";
 
-const REFERENCE: [Field<ReferenceStatus>; 6] = [
+const REFERENCE: [Field<ReferenceStatus>; 5] = [
     (Gauge, "reference_locked", "1 while the grid is locked to its reference clock.", |of| of.locked.into()),
     (Count, "reference_lock_losses", "Times that the grid lost its lock.", |of| of.losses),
     (Count, "reference_samples", "Executed cycles with a sample of the reference clock.", |of| of.samples),
     (Count, "reference_silent_cycles", WITHOUT_SAMPLE, |of| of.silent),
-    (Time, "reference_error_max", LARGEST_ERROR, |of| of.error_max.ns),
     (Time, "reference_step_max", "Largest step of the grid.", |of| of.step_max.ns),
 ];
 const WITHOUT_SAMPLE: &str = "Executed cycles without a sample of the reference clock.";
-const LARGEST_ERROR: &str = "Largest phase error of the grid since its first lock.";
 
-const DRIVE: [Field<DriveEnd>; 17] = [
+const DRIVE: [Field<DriveEnd>; 14] = [
     (Count, "drive_requests_sent", "Requests sent.", |of| of.counters.sent),
     (Count, "drive_requests_unsent", UNSENT, |of| of.counters.unsent),
     (Count, "drive_replies_in_time", "Requests answered in time.", |of| of.counters.answered),
@@ -137,16 +135,12 @@ const DRIVE: [Field<DriveEnd>; 17] = [
     (Gauge, "drive_stopped", "1 while a stop is latched.", |of| of.feedback.stopped.is_some().into()),
     (Gauge, "drive_sto_open", STO_OPEN, |of| of.feedback.status.sto_open.into()),
     (Gauge, "drive_fault", "Fault code, 0 = none.", |of| of.feedback.status.fault.into()),
-    (Time, "drive_round_trip_max", "The longest round trip.", |of| of.peaks.rtt.ns),
-    (Time, "drive_send_jitter_max", "The largest jitter of the requests.", |of| of.peaks.send_jitter.ns),
-    (Time, "drive_value_age_max", LARGEST_AGE, |of| of.peaks.age.ns),
 ];
 const UNSENT: &str = "Requests not sent: no connection, or refused by the operating system.";
 const IMPLAUSIBLE: &str = "Reports that were not taken: the axis cannot be so.";
 const SUSPECT: &str = "Replies that may belong to an earlier request.";
 const REJECTED: &str = "Malformed and unmatched datagrams from its address.";
 const STO_OPEN: &str = "1 while the hardware enable (STO) is missing.";
-const LARGEST_AGE: &str = "Largest age of the feedback at the receive deadline.";
 
 /// Of drives that are reached by a connection.
 const CONNECTION: [Field<DriveEnd>; 1] =
@@ -227,13 +221,21 @@ impl Sheet<'_> {
         })
     }
 
+    fn maximum<'a, const N: usize>(
+        &mut self,
+        Kept { metric, largest, .. }: &Kept,
+        samples: impl IntoIterator<Item = (Labels<'a, N>, Peak)>,
+    ) -> fmt::Result {
+        let samples = samples.into_iter().map(|(labels, peak)| (labels, peak.ns));
+        self.values((Time, &format!("{metric}_max"), largest), samples)
+    }
+
     fn distributions<'a, const N: usize>(
         &mut self,
-        name: &str,
-        help: &str,
+        Kept { metric, about, .. }: &Kept,
         samples: impl IntoIterator<Item = (Labels<'a, N>, &'a Quantity)>,
     ) -> fmt::Result {
-        self.family((name, help), Some(Unit::Seconds), MetricType::Histogram, samples, |to, histogram| {
+        self.family((metric, about), Some(Unit::Seconds), MetricType::Histogram, samples, |to, histogram| {
             let sum = histogram.bins().mean() * histogram.len() as f64 / S as f64;
             to.encode_histogram::<NoLabelSet>(sum, histogram.len(), &buckets(histogram), None)
         })
@@ -322,30 +324,12 @@ impl Sheet<'_> {
     }
 
     fn histograms(&mut self, histograms: &Histograms, drives: &[DriveEnd]) -> fmt::Result {
-        let Histograms { wake, jitter, .. } = histograms;
-        self.distributions(
-            "wake_up",
-            "Wake-up latency: start of the cycles after their grid points; skipped slots count as late.",
-            [([], wake)],
-        )?;
-        self.distributions(
-            "cycle_jitter",
-            "Differences between the distance of two starts and that of their grid points.",
-            [([], jitter)],
-        )?;
-        let stages = Stage::ALL.map(|stage| ([("stage", stage.name())], histograms.stage(stage)));
-        self.distributions("stage", "Time of each stage of a cycle.", stages)?;
-        type Family = (&'static str, &'static str, fn(&DriveHistograms) -> &Quantity);
-        const DRIVE: [Family; 3] = [
-            ("drive_round_trip", "Round trips.", |of| &of.rtt),
-            ("drive_send_jitter", SEND_JITTER, |of| &of.send_jitter),
-            ("drive_value_age", "Age of the feedback at the receive deadline.", |of| &of.age),
-        ];
-        const SEND_JITTER: &str =
-            "Differences between the distance of two requests and that of their grid points.";
-        DRIVE.into_iter().try_for_each(|(name, help, of)| {
+        self.distributions(&WAKE, [([], &histograms.wake)])?;
+        self.distributions(&JITTER, [([], &histograms.jitter)])?;
+        self.distributions(&STAGE, of_stages(&histograms.stages))?;
+        KEPT_OF_DRIVE.into_iter().try_for_each(|(kept, quantity, _)| {
             let drives = drives.iter().zip(&histograms.drives);
-            self.distributions(name, help, drives.map(|(drive, measured)| (name_of(drive), of(measured))))
+            self.distributions(&kept, drives.map(|(drive, measured)| (name_of(drive), quantity(measured))))
         })
     }
 
@@ -360,6 +344,11 @@ impl Sheet<'_> {
         let help = "Late cycles by their cause; the newest are not explained yet.";
         self.values((Count, "late_cycles_explained", help), samples)
     }
+}
+
+/// What each stage has, with its label.
+fn of_stages<'a, T>(of: impl IntoIterator<Item = T>) -> impl Iterator<Item = (Labels<'a, 1>, T)> {
+    Stage::ALL.into_iter().map(|stage| [("stage", stage.name())]).zip(of)
 }
 
 fn name_of(drive: &DriveEnd) -> Labels<'_, 1> {

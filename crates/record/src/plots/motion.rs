@@ -6,68 +6,63 @@ use super::scale::Scale;
 use crate::archive::{Archive, Drive};
 use crate::compare::significant;
 use crate::summary::plural;
+use fieldbeat_core::drive::record::DriveRecord;
 use fieldbeat_core::time::Ns;
 use fieldbeat_telemetry::motion::{Band, Happened, Mark, Moved};
+use fieldbeat_telemetry::signals::{FOLLOWING_ERROR, POSITION, Signal, VELOCITY};
 
 /// A quantity of a stretch.
 type Quantity = fn(&Moved) -> Option<Band>;
 
+/// A curve: its quantity, its class, and its adjective.
+type Curve = (Quantity, &'static str, &'static str);
+
+/// The plots: what each shows.
+const PLOTS: [(Signal<DriveRecord>, &[Curve]); 3] = [
+    (POSITION, &[(Moved::demand, "c4 thick", "demand"), (Moved::position, "c0", "actual")]),
+    (FOLLOWING_ERROR, &[(Moved::error, "c1", "")]),
+    (VELOCITY, &[(Moved::velocity, "c2", "actual")]),
+];
+
 /// The plots of a drive's axis; empty if it reported nothing.
 pub fn plot(run: &Archive, drive: &Drive) -> String {
-    let (unit, name) = (&drive.unit, &drive.name);
-    let axis = Axis { run, drive };
-    let mut plots = String::new();
-    let position: [(Quantity, _, _); 2] =
-        [(Moved::demand, "c4 thick", "demand position"), (Moved::position, "c0", "actual position")];
-    plots += &axis.plot(&format!("position-{name}"), &format!("position ({unit})"), &position);
-    let error: [(Quantity, _, _); 1] = [(Moved::error, "c1", "following error: demand less actual")];
-    plots += &axis.plot(&format!("error-{name}"), &format!("following error ({unit})"), &error);
-    let velocity: [(Quantity, _, _); 1] = [(Moved::velocity, "c2", "actual velocity")];
-    plots += &axis.plot(&format!("velocity-{name}"), &format!("velocity ({unit}/s)"), &velocity);
-    plots
+    PLOTS.iter().map(|(of, curves)| plot_of(run, drive, of, curves)).collect()
 }
 
-struct Axis<'a> {
-    run: &'a Archive,
-    drive: &'a Drive,
-}
-
-impl Axis<'_> {
-    fn plot(&self, id: &str, title: &str, quantities: &[(Quantity, &str, &str)]) -> String {
-        let (run, motion) = (self.run, &self.drive.motion);
-        let stretches = motion.stretches();
-        let bands = || quantities.iter().flat_map(|(of, ..)| stretches.iter().filter_map(*of));
-        if bands().next().is_none() {
-            return String::new();
-        }
-        let values = bands().flat_map(|Band { low, high }| [f64::from(low), f64::from(high)]);
-        let y = Scale::around(values, 4, title);
-        let (time, unit_ns) = Scale::run(run.length_ns());
-        let step = motion.width() as f64 * run.period_ns as f64 / unit_ns;
-        let mut chart = Chart::new(time, y, 150);
-        for Mark { cycle, what } in motion.marks.iter() {
-            let at_ns = cycle * run.period_ns;
-            let class = if what.is_trouble() { "alarm" } else { "quiet" };
-            let words = format!("{} at {}", happened(self.drive, what), Ns(at_ns));
-            chart.event(class, at_ns as f64 / unit_ns, &words);
-        }
-        for (of, class, what) in quantities {
-            for (first, row) in unbroken(stretches, *of) {
-                let points: Vec<(f64, f64, f64)> = (row.iter().enumerate())
-                    .map(|(place, Band { low, high })| {
-                        // The middle of the step; the last one may be cut off by the end.
-                        let middle = step * ((first + place) as f64 + 0.5);
-                        (middle, f64::from(*low), f64::from(*high))
-                    })
-                    .collect();
-                chart.band(class, &points);
-            }
-            if quantities.len() > 1 {
-                chart.explain(class, what);
-            }
-        }
-        chart.finish(id, "")
+fn plot_of(run: &Archive, drive: &Drive, of: &Signal<DriveRecord>, curves: &[Curve]) -> String {
+    let motion = &drive.motion;
+    let stretches = motion.stretches();
+    let bands = || curves.iter().flat_map(|(quantity, ..)| stretches.iter().filter_map(*quantity));
+    if bands().next().is_none() {
+        return String::new();
     }
+    let values = bands().flat_map(|Band { low, high }| [f64::from(low), f64::from(high)]);
+    let y = Scale::around(values, 4, of.title(&drive.unit));
+    let (time, unit_ns) = Scale::run(run.length_ns());
+    let step = motion.width() as f64 * run.period_ns as f64 / unit_ns;
+    let mut chart = Chart::new(time, y, 150);
+    for Mark { cycle, what } in motion.marks.iter() {
+        let at_ns = cycle * run.period_ns;
+        let class = if what.is_trouble() { "alarm" } else { "quiet" };
+        let words = format!("{} at {}", happened(drive, what), Ns(at_ns));
+        chart.event(class, at_ns as f64 / unit_ns, &words);
+    }
+    for (quantity, class, what) in curves {
+        for (first, row) in unbroken(stretches, *quantity) {
+            let points: Vec<(f64, f64, f64)> = (row.iter().enumerate())
+                .map(|(place, Band { low, high })| {
+                    // The middle of the step; the last one may be cut off by the end.
+                    let middle = step * ((first + place) as f64 + 0.5);
+                    (middle, f64::from(*low), f64::from(*high))
+                })
+                .collect();
+            chart.band(class, &points);
+        }
+        if curves.len() > 1 {
+            chart.explain(class, &format!("{what} {}", of.name));
+        }
+    }
+    chart.finish(&format!("{}-{}", of.name.replace(' ', "-"), drive.name), "")
 }
 
 /// What happened, in words.
@@ -89,12 +84,15 @@ pub fn facts(drive: &Drive, period_ns: u64) -> String {
     let marks = &drive.motion.marks;
     let error = match drive.motion.error_max {
         Some(largest) => format!(
-            "largest following error {} {} after {}",
+            "largest {} {} {} after {}",
+            FOLLOWING_ERROR.name,
             significant(largest.value),
             drive.unit,
             Ns(largest.cycle * period_ns)
         ),
-        None => "no following error: the drive reports no positions, or was never enabled".to_owned(),
+        None => {
+            format!("no {}: the drive reports no positions, or was never enabled", FOLLOWING_ERROR.name)
+        }
     };
     let times = |count, what| if count > 0 { format!("; {}", plural(count, what)) } else { String::new() };
     let lost = if drive.losses > 0 {

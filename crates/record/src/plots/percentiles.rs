@@ -4,10 +4,12 @@
 use super::chart::{COLOURS, Chart};
 use super::scale::{Scale, Tick};
 use crate::archive::{Archive, Drive, Sampled};
-use fieldbeat_core::time::{Ns, three_digits};
+use crate::page::time;
+use fieldbeat_core::time::Ns;
 use fieldbeat_telemetry::Quantiles;
 use fieldbeat_telemetry::bins::Bins;
 use fieldbeat_telemetry::histograms::{SAMPLES_BEYOND, supports};
+use fieldbeat_telemetry::signals::{JITTER, ROUND_TRIP, WAKE};
 
 /// Where the curves begin, in nines: what is below the median worries nobody.
 const MEDIAN: f64 = std::f64::consts::LOG10_2;
@@ -23,14 +25,13 @@ const WORST: usize = 5;
 
 /// A quantity in numbers; the maximum is exact, the others are not known better than this.
 pub fn numbers(quantiles: &Quantiles) -> String {
-    let or = |ns: Option<u64>| ns.map_or(String::from("-"), |ns| Ns(three_digits(ns)).to_string());
     let max = quantiles.max.map_or(String::from("-"), |ns| Ns(ns).to_string());
     let cycle = quantiles.max_cycle.map_or(String::new(), |cycle| format!(" (cycle {cycle})"));
     format!(
         "p50 {}, p99 {}, p99.9 {}, max {max}{cycle}; n = {}",
-        or(quantiles.p50),
-        or(quantiles.p99),
-        or(quantiles.p99_9),
+        time(quantiles.p50),
+        time(quantiles.p99),
+        time(quantiles.p99_9),
         quantiles.count
     )
 }
@@ -61,21 +62,24 @@ impl Curve {
 /// The loop, and what its drives come to.
 pub fn of_the_run(run: &Archive) -> String {
     let mut legend = vec![
-        ("c0", format!("wake-up latency: {}", numbers(&run.wake.quantiles()))),
-        ("c2", format!("cycle jitter: {}", numbers(&run.jitter.quantiles()))),
+        ("c0", format!("{}: {}", WAKE.name, numbers(&run.wake.quantiles()))),
+        ("c2", format!("{}: {}", JITTER.name, numbers(&run.jitter.quantiles()))),
     ];
     let mut curves = vec![Curve::of(&run.wake, "c0 thick"), Curve::of(&run.jitter, "c2")];
     let ranking = Ranking::of(&run.drives);
     if let Some(worst) = ranking.order.first() {
         let drive = &run.drives[*worst];
-        let what = match ranking.compared {
-            0 | 1 => format!("round trip of {}", drive.name),
-            all => format!("round trip of {}, the worst of {all} by {}", drive.name, ranking.by()),
+        let rank = match ranking.compared {
+            0 | 1 => String::new(),
+            all => format!(", the worst of {all} by {}", ranking.by()),
         };
         curves.push(Curve::of(&drive.rtt, "c3"));
-        legend.push(("c3", format!("{what}: {}", numbers(&drive.rtt.quantiles()))));
+        legend.push((
+            "c3",
+            format!("{} of {}{rank}: {}", ROUND_TRIP.name, drive.name, numbers(&drive.rtt.quantiles())),
+        ));
     }
-    let mut chart = draw(&curves, run.deadline_ns, "latency (us)");
+    let mut chart = draw(&curves, run.deadline_ns, "latency");
     legend.iter().for_each(|(class, words)| chart.explain(class, words));
     chart.finish("percentiles", "Percentiles of the cycle and of the drives' round trips")
 }
@@ -91,7 +95,7 @@ pub fn of_the_drives(run: &Archive) -> String {
     let others_curves = others.iter().map(|place| curve(*place, "quiet".to_owned()));
     let named = worst.iter().enumerate().rev().map(|(colour, place)| curve(*place, format!("c{colour}")));
     let curves: Vec<Curve> = others_curves.chain(named).collect();
-    let mut chart = draw(&curves, run.deadline_ns, "round trip (us)");
+    let mut chart = draw(&curves, run.deadline_ns, ROUND_TRIP.name);
     for (colour, place) in worst.iter().enumerate() {
         let drive = &run.drives[*place];
         chart.explain(&format!("c{colour}"), &format!("{}: {}", drive.name, numbers(&drive.rtt.quantiles())));
@@ -162,11 +166,11 @@ impl Ranking {
     }
 }
 
-fn draw(curves: &[Curve], deadline_ns: u64, unit: &str) -> Chart {
+fn draw(curves: &[Curve], deadline_ns: u64, what: &str) -> Chart {
     let values = curves
         .iter()
         .flat_map(|curve| curve.points.iter().map(|(_, ns)| *ns).chain(curve.max.map(|ns| ns.max(1) as f64)));
-    let y = Scale::times(values.chain([deadline_ns as f64]), unit);
+    let y = Scale::times(values.chain([deadline_ns as f64]), what);
     // The labels of the axis: as many nines as there are curves for, then the maxima.
     let last = curves.iter().filter_map(|curve| curve.points.last()).fold(1.0_f64, |end, (x, _)| end.max(*x));
     let maxima = last + last.max(2.0) * 0.08;

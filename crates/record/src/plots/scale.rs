@@ -1,6 +1,7 @@
 //! From values to places on an axis, and what is labelled there.
 
-use fieldbeat_core::time::{S, US};
+use fieldbeat_core::time::S;
+use fieldbeat_telemetry::signals::{TIME, TIME_NS};
 
 /// Where something is labelled.
 #[derive(Clone, Debug, PartialEq)]
@@ -71,9 +72,9 @@ impl Scale {
         Scale { low: low.log10(), high: high.log10(), ticks: ticks.collect(), title: title.into() }
     }
 
-    /// A logarithmic axis of times in ns, labelled in us.
-    pub fn times(values: impl Iterator<Item = f64>, title: impl Into<String>) -> Scale {
-        Scale::logarithmic(values, US as f64, title)
+    /// A logarithmic axis of times in ns, labelled in the unit of times.
+    pub fn times(values: impl Iterator<Item = f64>, what: &str) -> Scale {
+        Scale::logarithmic(values, TIME_NS, format!("{what} ({TIME})"))
     }
 
     /// The time of a run that is so long, in the unit that suits it; values are in that unit.

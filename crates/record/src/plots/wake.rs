@@ -9,6 +9,7 @@ use crate::plots::percentiles::numbers;
 use fieldbeat_core::time::Ns;
 use fieldbeat_telemetry::bins::Bins;
 use fieldbeat_telemetry::histograms::HIGHEST_NS;
+use fieldbeat_telemetry::signals::TIME;
 
 /// Bins of a decade: wider than those of the histogram, which keeps three digits.
 const BINS: f64 = 25.0;
@@ -27,7 +28,8 @@ pub fn plot(run: &Archive, earlier: &[(String, Archive)]) -> String {
     let max = (run.wake.bins.count() > 0 || run.wake.max_ns > 0).then_some(run.wake.max_ns);
     let ends = all().flat_map(|(bin, _)| [*bin, *bin + 1]).map(|bin| 10_f64.powf(from(bin)));
     let marks = limits.iter().map(|(_, ns)| *ns).chain(max).map(|ns| ns.max(1) as f64);
-    let latencies = Scale::times(ends.chain(marks), "latency (us, log scale)");
+    let mut latencies = Scale::times(ends.chain(marks), "latency");
+    latencies.title = format!("latency ({TIME}, log scale)");
     let bottom = counts.low;
     let mut chart = Chart::new(latencies, counts, 340);
     let spans = |bins: &[(i32, u64)]| {

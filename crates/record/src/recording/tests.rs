@@ -1,6 +1,7 @@
 //! Files as they are written, and as others find them.
 
 mod log;
+mod signals;
 
 use std::fs::{File, OpenOptions};
 use std::num::NonZeroU32;

@@ -1,6 +1,7 @@
 //! Numbers as text.
 
-use fieldbeat_core::time::{US, three_digits};
+use fieldbeat_core::time::three_digits;
+use fieldbeat_telemetry::signals::shown;
 
 /// A count and its noun, singular or plural.
 pub fn plural(count: u64, what: &str) -> String {
@@ -22,7 +23,7 @@ pub fn decimals(value: Option<f64>, decimals: usize) -> String {
     value.map_or("-".to_owned(), |value| format!("{value:.decimals$}"))
 }
 
-/// A span in us with three significant digits, or a dash.
+/// A span in the unit of times, with three significant digits, or a dash.
 pub(super) fn us(ns: Option<u64>) -> String {
     let Some(ns) = ns.map(three_digits) else { return String::from("-") };
     let digits = match ns {
@@ -31,7 +32,7 @@ pub(super) fn us(ns: Option<u64>) -> String {
         1_000.. => 2,
         _ => 3,
     };
-    format!("{:.digits$}", ns as f64 / US as f64)
+    format!("{:.digits$}", shown(ns as f64))
 }
 
 #[cfg(test)]

@@ -6,10 +6,10 @@ use super::numbers::us;
 use super::{Bus, CycleNumbers, Drive, Summary, decimals, plural};
 use crate::style::{BAD, paint};
 use crate::table::{Cell, Table};
-use fieldbeat_core::cycle::record::Stage;
 use fieldbeat_core::cycle::status::DeviceEnd;
 use fieldbeat_core::time::{Ns, S, US, three_digits};
 use fieldbeat_telemetry::histograms::Quantity;
+use fieldbeat_telemetry::signals::{POSITION, ROUND_TRIP, TIME, WAKE, kept_of_loop, shown};
 
 /// As text; the alternate form shows in colour what went wrong. Drives come first: where a terminal has few lines, they
 /// are what it shows.
@@ -50,7 +50,7 @@ impl Summary {
         let seen: Vec<Count> = seen.collect();
         let mut titles = vec!["drive", "state", "sent", "answered", "missed"];
         titles.extend(seen.iter().map(|(title, _)| title));
-        titles.extend(["RTT p50", "p99", "max", "position"]);
+        titles.extend(["RTT p50", "p99", "max", POSITION.name]);
         let mut table = Table::new(&titles, 2..titles.len(), " ");
         for (drive, units) in self.drives.iter().zip(&self.units) {
             let state = if drive.is_online() { &drive.state } else { &drive.link };
@@ -68,7 +68,7 @@ impl Summary {
             row.push(Cell::plain(decimals(drive.position, 3) + &unit));
             table.row(row);
         }
-        writeln!(f, "\ndrives; round trip times (RTT) in us")?;
+        writeln!(f, "\ndrives; {} times (RTT) in {TIME}", ROUND_TRIP.name)?;
         let mut lines = table.lines(f.alternate()).into_iter();
         writeln!(f, "{}", lines.next().unwrap_or_default())?;
         for (line, drive) in lines.zip(&self.drives) {
@@ -129,14 +129,12 @@ impl Summary {
 
     /// Wake-up latency, jitter and stages in one unit.
     fn loop_table(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let mut table = Table::new(&["loop, times in us", "p50", "p99", "p99.9", "max"], 1..5, "  ");
-        let mut quantities =
-            vec![("wake-up latency".to_owned(), &self.wake_ns), ("cycle jitter".to_owned(), &self.jitter_ns)];
-        quantities.extend(self.cycle.reference.as_ref().map(|led| ("phase error".to_owned(), &led.error_ns)));
-        let stages = Stage::ALL.iter().map(|stage| format!("stage {}", stage.name()));
-        quantities.extend(stages.zip(&self.stages_ns.0));
-        for (name, of) in quantities {
-            let mut row = vec![Cell::plain(name)];
+        let title = format!("loop, times in {TIME}");
+        let mut table = Table::new(&[&title, "p50", "p99", "p99.9", "max"], 1..5, "  ");
+        let reference = self.cycle.reference.as_ref().map(|led| &led.error_ns);
+        for (kept, stage, of) in kept_of_loop([&self.wake_ns, &self.jitter_ns], reference, &self.stages_ns.0)
+        {
+            let mut row = vec![Cell::plain(kept.title(stage))];
             row.extend([of.p50, of.p99, of.p99_9, of.max].map(|ns| Cell::plain(us(ns))));
             table.row(row);
         }
@@ -148,12 +146,12 @@ impl Summary {
         }
         let most = self.wake_bars.iter().map(|(_, count)| *count).max().unwrap_or(0);
         if most > 0 {
-            writeln!(f, "\nwake-up latency in us, cycles (bars: log scale)")?;
+            writeln!(f, "\n{} in {TIME}, cycles (bars: log scale)", WAKE.name)?;
         }
         for (end, count) in &self.wake_bars {
             // Logarithmic: the rare late ones are what a reader looks for.
             let width = (40.0 * (*count as f64).ln_1p() / (most as f64).ln_1p()).ceil() as usize;
-            let bin = format!("< {}", *end as f64 / US as f64);
+            let bin = format!("< {}", shown(*end as f64));
             writeln!(f, "{}", format!("  {bin:>9} {count:>9} {}", "#".repeat(width)).trim_end())?;
         }
         Ok(())

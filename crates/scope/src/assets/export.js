@@ -47,7 +47,7 @@ export function toMcap(scope, ids) {
   const topic = (axis) => (axis === null ? "/cycle" : `/axes/${machine.axes[axis].name}`);
   const key = (id) => {
     const { name, unit } = machine.signals[id];
-    return name.replaceAll(/[^a-zA-Z0-9]+/g, "_") + (unit === "us" ? "_us" : "");
+    return name.replaceAll(/[^a-zA-Z0-9]+/g, "_") + (unit === machine.time_unit ? `_${unit}` : "");
   };
   const channels = [...groups].map(([axis, of]) => ({
     topic: topic(axis),

@@ -1,4 +1,4 @@
-// Which signals are in which plot: as a browser has kept it for a configuration, or else the first axes and the loop.
+// Which signals are in which plot: as a browser has kept it for a configuration, or else the usual ones.
 
 const key = (machine) => `fieldbeat-scope:${machine.config}`;
 
@@ -21,11 +21,7 @@ function kept(machine) {
 
 /** The signals of each plot. */
 export function layout(machine) {
-  const shown = machine.axes.slice(0, 2).map((_, axis) => axis);
-  const of = (...names) => shown.flatMap((axis) => names.map((name) => find(machine, axis, name)));
-  const loop = ["wake-up", "end"].map((name) => find(machine, null, name));
-  const usual = [of("demand", "position"), of("following error"), of("velocity"), loop];
-  return kept(machine) ?? usual.map((plot) => plot.filter((id) => id >= 0)).filter((plot) => plot.length);
+  return kept(machine) ?? machine.plots;
 }
 
 /** Keeps the plots for the next time. */

@@ -48,8 +48,7 @@ const scope = {
   textAt(id, time) {
     const value = this.valueAt(id, time);
     const { name } = this.machine.signals[id];
-    const names = { state: this.machine.states, command: this.machine.commands }[name];
-    return names?.[value] ?? digits(value);
+    return this.machine.names[name]?.[value] ?? digits(value);
   },
 
   shownRange() {
