@@ -3,11 +3,12 @@
 use std::path::PathBuf;
 
 use clap::Args;
+use fieldbeat_record::blackbox::left::Orphan;
 use fieldbeat_record::blackbox::list::Listing;
 use fieldbeat_record::blackbox::{default_directory, events, file};
 use serde_json::json;
 
-use super::{Stop, print, show};
+use super::{Stop, complain, print, show};
 
 /// Arguments of `blackbox`.
 #[derive(Debug, Args)]
@@ -48,6 +49,18 @@ impl BlackBox {
 
     fn list(self) -> Result<(), Stop> {
         let directory = self.black_box.unwrap_or_else(default_directory);
+        // What a program that was killed has left is in no file before somebody makes one of it.
+        for orphan in Orphan::all(&directory) {
+            let (file, why) = (orphan.path(), orphan.due().why.clone());
+            match orphan.save() {
+                Ok(()) => complain(&format!("{why}: its last cycles are now in {}", file.display())),
+                Err(error) => complain(&format!(
+                    "{why}, and its last cycles are still in memory only: cannot write {}: {error}; free that disk, \
+                     or become the user whose directory it is",
+                    file.display()
+                )),
+            }
+        }
         let listing = Listing::of(&directory).map_err(|error| {
             let remedy = "name a directory that this user may read, with --black-box DIR";
             Stop::usage(format!("cannot list {}: {error}; {remedy}", directory.display()))

@@ -447,7 +447,7 @@ impl Setup {
         realtime: RealtimePlan,
         mut regions: Regions,
     ) -> Result<Master, StartError> {
-        let Setup { plan, task, black_box, sink, stop_on_signals, .. } = self;
+        let Setup { plan, task, mut black_box, sink, stop_on_signals, .. } = self;
         let has_task = task.is_some();
         if stop_on_signals {
             process::catch_signals(realtime.core_to_be()).map_err(StartError::Thread)?;
@@ -456,6 +456,7 @@ impl Setup {
         let running = Running::begin(timeouts).map_err(StartError::Thread)?;
         let control = running.control();
         let steal_before_ms = rt::host::steal_ms(None);
+        black_box.iter_mut().for_each(|black_box| black_box.recover());
         let kept = kept_for(black_box.as_deref(), true);
         let assembly = assemble(&plan, clock, carriers, task, control.clone(), kept)?;
         let Assembly {

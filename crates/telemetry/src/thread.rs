@@ -221,6 +221,9 @@ pub trait Keep: fmt::Debug + Send {
     /// What a reader of their memory needs to know of them after the program has ended.
     fn about(&self) -> Vec<u8>;
 
+    /// Makes files of what earlier programs have left that were killed.
+    fn recover(&mut self);
+
     /// Notices what fails. `record` is the newest one that `ring` keeps.
     fn enter(&mut self, record: &Record, ring: &RecordReader);
 
@@ -257,6 +260,14 @@ pub struct Written {
     /// Its disk did not answer in time, or its writer panicked: the run has failed.
     #[cfg_attr(feature = "serde", serde(skip))]
     pub fails_run: bool,
+}
+
+impl Written {
+    /// A file that is to be at `path`, for this reason.
+    #[doc(hidden)]
+    pub fn begin(why: &str, cycle: u64, path: PathBuf) -> Written {
+        Written { why: why.to_owned(), cycle, path, error: None, number: 0, replaced: None, fails_run: false }
+    }
 }
 
 impl fmt::Display for Written {
@@ -540,6 +551,8 @@ mod tests {
             Vec::new()
         }
 
+        fn recover(&mut self) {}
+
         fn enter(&mut self, _record: &Record, _ring: &RecordReader) {
             std::panic::resume_unwind(Box::new("on purpose"));
         }
@@ -584,6 +597,8 @@ mod tests {
         fn about(&self) -> Vec<u8> {
             Vec::new()
         }
+
+        fn recover(&mut self) {}
 
         fn enter(&mut self, _record: &Record, _ring: &RecordReader) {
             self.at_work.send(()).unwrap();

@@ -45,7 +45,7 @@ impl About {
         }
         let now = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, nanos) as i64;
         About {
-            directory: directory.to_owned(),
+            directory: absolute(directory),
             process: std::process::id(),
             utc_ns: now.wrapping_sub(MonotonicClock::read().0 as i64),
             machine: machine.clone(),
@@ -70,6 +70,11 @@ impl About {
     }
 }
 
+/// The programs may run in other directories.
+fn absolute(directory: &Path) -> PathBuf {
+    std::path::absolute(directory).unwrap_or_else(|_| directory.to_owned())
+}
+
 /// What one program has left. Nobody else finds it meanwhile.
 #[derive(Debug)]
 pub struct Orphan {
@@ -84,6 +89,7 @@ pub struct Orphan {
 impl Orphan {
     /// That of each program whose black box wrote to `directory`, and that has ended without an orderly end.
     pub fn all(directory: &Path) -> Vec<Orphan> {
+        let directory = absolute(directory);
         Left::all().filter_map(Orphan::of).filter(|orphan| orphan.about.directory == directory).collect()
     }
 
@@ -94,7 +100,11 @@ impl Orphan {
             Record::Cycle(cycle) => Some((cycle.index, cycle.grid.0.saturating_add_signed(about.utc_ns))),
             _ => None,
         });
-        let (cycle, ended_ns) = last.unwrap_or_default();
+        let Some((cycle, ended_ns)) = last else {
+            // Without a cycle there is nothing to tell. That it is gone already is as good.
+            let _ = memory.remove();
+            return None;
+        };
         let why = format!("process {} was killed, or crashed", about.process);
         let due = Due { why, cycle, from: cycle, failed: true };
         Some(Orphan { memory, about, records, due, ended: UNIX_EPOCH + Duration::from_nanos(ended_ns) })
@@ -105,23 +115,20 @@ impl Orphan {
         &self.due
     }
 
-    /// The file that is to be made of it; `None`: it has no record.
-    pub fn path(&self) -> Option<PathBuf> {
-        let path = super::place(&self.about.directory, self.ended, &self.due).0;
-        (!self.records.is_empty()).then_some(path)
+    /// The file that is to be made of it.
+    pub fn path(&self) -> PathBuf {
+        super::place(&self.about.directory, self.ended, &self.due).0
     }
 
     /// Makes that file, and gives the memory back.
     pub fn save(self) -> io::Result<()> {
         let Orphan { memory, about, records, due, ended } = self;
-        if !records.is_empty() {
-            let (path, written) = super::place(&about.directory, ended, &due);
-            let utc_ns = about.utc_ns;
-            let mut machine = due.described(about.into_machine());
-            machine.about.insert(WRITTEN.to_owned(), written);
-            let file = encode(machine, utc_ns, records.iter(), std::iter::empty(), 0)?;
-            save(&path, &file.bytes)?;
-        }
+        let (path, written) = super::place(&about.directory, ended, &due);
+        let utc_ns = about.utc_ns;
+        let mut machine = due.described(about.into_machine());
+        machine.about.insert(WRITTEN.to_owned(), written);
+        let file = encode(machine, utc_ns, records.iter(), std::iter::empty(), 0)?;
+        save(&path, &file.bytes)?;
         memory.remove()
     }
 }

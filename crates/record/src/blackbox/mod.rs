@@ -22,7 +22,7 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 pub use self::file::header;
-use self::left::About;
+use self::left::{About, Orphan};
 use crate::failures::Failures;
 use crate::file::save;
 use crate::recording::machine::{Machine, WRITTEN};
@@ -121,15 +121,7 @@ impl BlackBox {
         let mut machine = due.described(self.newest.machine.clone());
         machine.about.insert(WRITTEN.to_owned(), written);
         self.files += 1;
-        let mut written = Written {
-            why: due.why,
-            cycle: due.cycle,
-            path,
-            error: None,
-            number: self.files,
-            replaced: None,
-            fails_run: false,
-        };
+        let mut written = Written { number: self.files, ..Written::begin(&due.why, due.cycle, path) };
         if due.failed {
             self.written_to = Some(self.newest.cycle);
             self.failures += 1;
@@ -150,11 +142,20 @@ impl BlackBox {
             let encoded = encode(machine, utc_ns(now, &records), records.iter(), std::iter::empty(), 0);
             encoded.and_then(|file| save(&path, &file.bytes)).err().map(|error| error.to_string())
         };
-        match std::thread::Builder::new().name("fb-blackbox".into()).spawn(write) {
-            Ok(thread) => self.writing.push(Writing { written, thread }),
-            // Without a thread there is no file; the next failure tries again.
-            Err(_) => self.files -= 1,
-        }
+        // Without a thread there is no file; the next failure tries again.
+        self.files -= usize::from(!self.write_aside(written, write));
+    }
+
+    /// Writes a file on a thread of its own; `false`: there is none.
+    fn write_aside(
+        &mut self,
+        written: Written,
+        write: impl FnOnce() -> Option<String> + Send + 'static,
+    ) -> bool {
+        let thread = std::thread::Builder::new().name("fb-blackbox".into()).spawn(write).ok();
+        let is_begun = thread.is_some();
+        self.writing.extend(thread.map(|thread| Writing { written, thread }));
+        is_begun
     }
 }
 
@@ -193,6 +194,13 @@ impl Keep for BlackBox {
 
     fn about(&self) -> Vec<u8> {
         About::new(&self.directory, &self.newest.machine).to_bytes()
+    }
+
+    fn recover(&mut self) {
+        for orphan in Orphan::all(&self.directory) {
+            let written = Written::begin(&orphan.due().why, orphan.due().cycle, orphan.path());
+            self.write_aside(written, || orphan.save().err().map(|error| error.to_string()));
+        }
     }
 
     fn enter(&mut self, record: &Record, ring: &RecordReader) {
