@@ -8,17 +8,14 @@ use std::time::UNIX_EPOCH;
 
 use serde::{Deserialize, Serialize};
 
-use crate::recording::machine::{CYCLE, PROGRAM, WHY, WRITTEN};
+use crate::recording::machine::{CYCLE, Machine, PROGRAM, UNIT, WHY, WRITTEN};
 use crate::recording::reading::{Entry, Reading, Wrong, about};
-use fieldbeat_core::axis::{
-    Command, Emergency, EventKind, Fault, Link, MONITOR_CHANNELS, MonitorChannel, State, StopCause,
-};
+use fieldbeat_core::axis::{Command, Emergency, EventKind, Fault, Link, MONITOR_CHANNELS, State, StopCause};
 use fieldbeat_core::cycle::Plan;
 use fieldbeat_core::cycle::record::{
     CycleRecord, DriveFlags, DriveRecord, EventRecord, MonitorRecord, Record, ReferenceRecord, Reply,
     SkippedRecord, Stage, short,
 };
-use fieldbeat_core::rt::host;
 use fieldbeat_core::time::Time;
 
 /// So many records of a file are kept, those of its end: as many as the largest black box has.
@@ -91,34 +88,16 @@ pub struct Channel {
 
 /// What the records of a run of `plan` are of; no fault has occurred yet.
 pub fn header(plan: &Plan) -> Header {
-    let cycle = &plan.cycle;
-    Header {
-        program: env!("CARGO_PKG_VERSION").to_owned(),
-        machine: plan.source.as_ref().map(|path| path.display().to_string()),
-        period_ns: cycle.period_ns,
-        deadline_ns: cycle.deadline_ns(),
-        late_ns: cycle.late_ns(),
-        reference: cycle.reference.clone(),
-        axes: (plan.axes().iter().zip(plan.monitored()))
-            .map(|(axis, monitored)| Axis {
-                name: axis.name.clone(),
-                unit: axis.units.unit.to_string(),
-                modulo: axis.units.modulo,
-                monitor: monitored.map(|channel| channel.map(Channel::from)),
-                faults: BTreeMap::new(),
-            })
-            .collect(),
-        kernel: host::kernel(),
-        preemption: host::preemption(),
-        cpu: host::cpu(),
-        ..Header::default()
-    }
-}
-
-impl From<MonitorChannel> for Channel {
-    fn from(MonitorChannel { name, unit }: MonitorChannel) -> Channel {
-        Channel { name, unit: unit.to_owned() }
-    }
+    let Machine { about, axes, .. } = Machine::of(plan, env!("CARGO_PKG_VERSION"));
+    let axes = axes.into_iter().map(|mut axis| Axis {
+        name: axis.name,
+        unit: axis.about.remove(UNIT).unwrap_or_default(),
+        modulo: axis.modulo,
+        monitor: axis.monitor.map(|channel| channel.map(|(name, unit)| Channel { name, unit })),
+        faults: BTreeMap::new(),
+    });
+    // Numbers that stand there can be read.
+    Header { axes: axes.collect(), ..Header::of(about).unwrap_or_default() }
 }
 
 /// Reads a file. What no black box wrote is told up to its end.
@@ -151,33 +130,40 @@ pub fn read(
 /// Reads the header of a file, which has no axes then; without a reason if no black box wrote it. Whether the end of the
 /// file is there is looked at, too.
 pub fn load_header(path: &Path) -> Result<Header, Wrong> {
-    let mut about = about(path)?;
-    let number = |key: &str| {
-        let number = about.get(key).and_then(|number| number.parse().ok());
-        number.ok_or_else(|| Wrong::Damaged(format!("its {key}")))
-    };
-    let [period_ns, deadline_ns, late_ns] =
-        [number("period_ns")?, number("deadline_ns")?, number("late_ns")?];
-    let cycle = if about.contains_key(WHY) { number(CYCLE)? } else { 0 };
-    let mut text = |key: &str| about.remove(key);
-    Ok(Header {
-        program: text(PROGRAM).unwrap_or_default(),
-        machine: text("machine"),
-        why: text(WHY).unwrap_or_default(),
-        cycle,
-        written: match text(WRITTEN) {
-            Some(written) => written,
-            None => changed(&std::fs::metadata(path)?),
-        },
-        period_ns,
-        deadline_ns,
-        late_ns,
-        reference: text("reference"),
-        axes: Vec::new(),
-        kernel: text("kernel"),
-        preemption: text("preemption"),
-        cpu: text("cpu"),
-    })
+    let mut header = Header::of(about(path)?)?;
+    if header.written.is_empty() {
+        header.written = changed(&std::fs::metadata(path)?);
+    }
+    Ok(header)
+}
+
+impl Header {
+    /// That of a machine of which this is said.
+    fn of(mut about: BTreeMap<String, String>) -> Result<Header, Wrong> {
+        let number = |key: &str| {
+            let number = about.get(key).and_then(|number| number.parse().ok());
+            number.ok_or_else(|| Wrong::Damaged(format!("its {key}")))
+        };
+        let [period_ns, deadline_ns, late_ns] =
+            [number("period_ns")?, number("deadline_ns")?, number("late_ns")?];
+        let cycle = if about.contains_key(WHY) { number(CYCLE)? } else { 0 };
+        let mut text = |key: &str| about.remove(key);
+        Ok(Header {
+            program: text(PROGRAM).unwrap_or_default(),
+            machine: text("machine"),
+            why: text(WHY).unwrap_or_default(),
+            cycle,
+            written: text(WRITTEN).unwrap_or_default(),
+            period_ns,
+            deadline_ns,
+            late_ns,
+            reference: text("reference"),
+            axes: Vec::new(),
+            kernel: text("kernel"),
+            preemption: text("preemption"),
+            cpu: text("cpu"),
+        })
+    }
 }
 
 /// When a file was changed last, UTC.
@@ -256,7 +242,7 @@ impl Loading {
         }
         let axes = &mut self.header.axes;
         let place = u16::try_from(axes.len()).map_err(|_| Wrong::Damaged("too many axes".to_owned()))?;
-        let unit = entry.topic.about.get("unit").cloned().unwrap_or_default();
+        let unit = entry.topic.about.get(UNIT).cloned().unwrap_or_default();
         axes.push(Axis { name: name.to_owned(), unit, ..Axis::default() });
         self.places.insert(name.to_owned(), place);
         Ok(place)
@@ -332,7 +318,7 @@ mod tests {
     use std::os::unix::fs::FileExt;
 
     use super::*;
-    use crate::recording::machine::{AxisAbout, Machine, of_axis, of_cycle};
+    use crate::recording::machine::{AxisAbout, of_axis, of_cycle};
     use crate::recording::newest::encode;
     use fieldbeat_core::cycle::record::measured;
     use mcap::MAGIC;

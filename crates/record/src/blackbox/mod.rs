@@ -52,7 +52,6 @@ pub struct BlackBox {
     directory: PathBuf,
     newest: Newest,
     kept: usize,
-    aftermath: u64,
     /// Cycles that it holds.
     cycles: u64,
     /// Until when the newest file reaches.
@@ -104,7 +103,6 @@ impl BlackBox {
             newest: Newest::new(machine, Failures::of(plan), aftermath),
             // Those of native process data are not written, and take none of the time.
             kept: kept + (kept_ns / period_ns) as usize * plan.native_records_a_cycle(),
-            aftermath,
             cycles: kept_ns / period_ns,
             written_to: None,
             files: 0,
@@ -213,7 +211,7 @@ impl Keep for BlackBox {
     }
 
     fn request(&mut self) {
-        self.newest.request(self.aftermath);
+        self.newest.request(self.newest.aftermath);
     }
 
     fn conclude(&mut self, why: &str) {

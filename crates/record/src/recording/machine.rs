@@ -19,8 +19,11 @@ pub const END: &str = "fieldbeat end";
 /// The key of the version of the program.
 pub const PROGRAM: &str = "program";
 
-/// The key of the protocol of an axis.
+/// The key of the protocol of an axis, in the metadata of its channel.
 const PROTOCOL: &str = "protocol";
+
+/// The key of its unit.
+pub const UNIT: &str = "unit";
 
 /// The key of why a file was written.
 pub const WHY: &str = "why";
@@ -145,7 +148,7 @@ pub fn of_cycle(program: &str, period_ns: u64, deadline_ns: u64, late_ns: u64) -
 /// What the channel of an axis says of it.
 pub fn of_axis(unit: &str, protocol: &str) -> BTreeMap<String, String> {
     [
-        ("unit", unit.to_owned()),
+        (UNIT, unit.to_owned()),
         ("unit_velocity", format!("{unit}/s")),
         ("unit_current", "A".to_owned()),
         (PROTOCOL, protocol.to_owned()),

@@ -19,9 +19,9 @@ pub struct Newest {
     pub cycle: u64,
     /// The machine.
     pub machine: Machine,
-    failures: Failures,
     /// Cycles that follow upon a failure.
-    aftermath: u64,
+    pub aftermath: u64,
+    failures: Failures,
     due: Option<Due>,
 }
 
