@@ -127,8 +127,8 @@ pub fn read(
     Ok((header, records.into()))
 }
 
-/// Reads the header of a file, which has no axes then; without a reason if no black box wrote it. Whether the end of the
-/// file is there is looked at, too.
+/// Reads the header of a file, which has no axes then; without a reason if no black box wrote it. Whether the end of
+/// the file is there is looked at, too.
 pub fn load_header(path: &Path) -> Result<Header, Wrong> {
     let mut header = Header::of(about(path)?)?;
     if header.written.is_empty() {
