@@ -2,12 +2,14 @@
 //! What became of the axes is asked of the drives themselves.
 
 use std::path::Path;
+use std::thread::sleep;
+use std::time::Duration;
 
-use libc::{SIGINT, SIGTERM};
+use libc::{SIGINT, SIGKILL, SIGTERM};
 
 use super::support::controller::{self, RAMP, TARGET, Way, config, summary};
 use super::support::onlooker::Onlooker;
-use super::support::{Machine, Program, drive, role};
+use super::support::{LONG, Machine, Program, drive, role, run, until};
 use super::{assert_left, online, simulation};
 
 /// The test that plays the controllers of all others.
@@ -95,4 +97,69 @@ fn what_a_killed_controller_left_moving_can_be_left_alone_and_is_named_at_the_en
         (&drive(&summary, "d0")["stopped"], &drive(&summary, "d0")["link"]),
         (&"found running".into(), &"online".into())
     );
+}
+
+/// The cycles of a recording, or of a black box, in the table that `export` makes of it; it ends with this code.
+fn cycles(machine: &Machine, file: &str, code: i32) -> Vec<u64> {
+    let directory = machine.path("tables");
+    let _ = std::fs::remove_dir_all(&directory);
+    run(["export".as_ref(), machine.path(file).as_os_str(), "--csv".as_ref(), directory.as_os_str()])
+        .expect(code);
+    let cycle = |line: &str| line.split(',').find_map(|field| field.parse().ok()).unwrap();
+    // One without a cycle has no table.
+    let table = std::fs::read_to_string(directory.join("cycle.csv")).unwrap_or_default();
+    table.lines().skip(1).map(cycle).collect()
+}
+
+/// Kills demos at random instants. Returns by how many cycles each recording ended before its memory.
+fn killed_demos(machine: &Machine, count: u64) -> Vec<u64> {
+    let kill = |seed| {
+        let mut random = fastrand::Rng::with_seed(seed);
+        let (recording, boxes) = (machine.path("run.mcap"), machine.path("boxes"));
+        let _ = std::fs::remove_file(&recording);
+        let _ = std::fs::remove_dir_all(&boxes);
+        let arguments = ["demo", "--for", "60s", "--drives", "2", "--period", "2ms", "--record"];
+        let arguments = arguments.map(std::ffi::OsString::from).into_iter();
+        let arguments =
+            arguments.chain([recording.into(), "--black-box".into(), boxes.as_os_str().to_owned()]);
+        let demo = Program::start(arguments);
+        assert!(until(LONG, || demo.memory().is_some()), "{}", demo.err());
+        sleep(Duration::from_millis(random.u64(100..1_500)));
+        let process = demo.pid();
+        assert_eq!(demo.end_by(SIGKILL).signal, Some(SIGKILL));
+        let list = ["blackbox", "--list", "--json", "--black-box"].map(std::ffi::OsString::from).into_iter();
+        let list = run(list.chain([boxes.into_os_string()]));
+        let files = &list.expect(0).json()["files"];
+        let why = format!("process {process} was killed, or crashed");
+        assert!(files.as_array().is_some_and(|files| files.len() == 1), "{list:?}");
+        assert_eq!((&files[0]["why"], files[0]["error"].is_null()), (&why.into(), true), "{list:?}");
+        let file = format!("boxes/{}", files[0]["file"].as_str().unwrap());
+        let in_memory = cycles(machine, &file, 0);
+        let recorded = cycles(machine, "run.mcap", 1);
+        assert_eq!(files[0]["cycle"], *in_memory.last().unwrap());
+        // The file begins with the run, and the memory has all that is not in it any more.
+        let whole = in_memory.first() == Some(&0) || recorded.first() == Some(&0);
+        assert!(
+            whole && in_memory[0] <= recorded.last().map_or(0, |last| last + 1),
+            "{in_memory:?} {recorded:?}"
+        );
+        in_memory.last().unwrap() - recorded.last().copied().unwrap_or(0)
+    };
+    (0..count).map(kill).collect()
+}
+
+#[test]
+fn of_a_killed_program_every_cycle_is_in_its_recording_or_its_memory() {
+    let machine = Machine::new(28);
+    println!("cycles in memory only: {:?}", killed_demos(&machine, 4));
+}
+
+#[test]
+#[ignore = "long, and asks for a host that lets normal threads run"]
+fn fifty_killed_programs_leave_recordings_that_end_within_a_tenth_of_a_second() {
+    let machine = Machine::new(28);
+    let behind = killed_demos(&machine, 50);
+    println!("cycles in memory only: {behind:?}");
+    // Of 2 ms.
+    assert!(behind.iter().all(|cycles| *cycles <= 50), "{behind:?}");
 }
