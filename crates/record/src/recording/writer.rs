@@ -1,4 +1,4 @@
-//! The records of a machine as messages of a file. A chunk of it has 100 ms at most, or somewhat more than 8 MiB.
+//! The records of a machine as messages of a file. A chunk of it has 50 ms at most, or somewhat more than 8 MiB.
 
 use std::collections::BTreeMap;
 use std::io::{self, Write};
@@ -20,7 +20,7 @@ use fieldbeat_telemetry::log::LogBegin;
 
 /// A chunk has so much machine time at most, unless the records of cycles were lost: no more is lost with a program
 /// that is killed.
-const CHUNK_NS: u64 = 100 * MS;
+const CHUNK_NS: u64 = 50 * MS;
 
 /// Records that wait for the one of their cycle. More are written by the time of the cycle before: that of their own
 /// was lost.
