@@ -49,6 +49,11 @@ fn table<T>(name: &str, fields: Fields<T>) -> Table<At<T>> {
     Table::new(name, all)
 }
 
+/// What every message has, alone.
+pub fn every() -> Table<At<()>> {
+    table("Every", Vec::new())
+}
+
 /// A drive in an executed cycle.
 pub struct AxisRecord {
     /// What the loop reported.

@@ -61,6 +61,22 @@ pub struct Table<T> {
     room: usize,
 }
 
+/// The first fields of messages that have them in common.
+#[derive(Debug, Default)]
+pub struct Begun {
+    bytes: Vec<u8>,
+    fields: usize,
+}
+
+impl Begun {
+    /// Makes them those of `table`, about `of`.
+    pub fn begin<T>(&mut self, table: &Table<T>, of: &T) {
+        self.bytes.clear();
+        table.encode(of, &mut self.bytes);
+        self.fields = table.fields.len();
+    }
+}
+
 /// A field of a message.
 #[derive(Debug)]
 struct Field<T> {
@@ -127,10 +143,17 @@ impl<T> Table<T> {
 
     /// Appends the bytes of the message about `of`. What is 0 is left out, as by every writer of proto3.
     pub fn encode(&self, of: &T, out: &mut Vec<u8>) {
+        self.encode_behind(&Begun::default(), of, out);
+    }
+
+    /// The same behind the bytes of its first fields.
+    pub fn encode_behind(&self, begun: &Begun, of: &T, out: &mut Vec<u8>) {
+        out.extend_from_slice(&begun.bytes);
         let (room, mut at) = (self.room, out.len());
         out.resize(at + room, 0);
         let mut bytes = &mut out[..];
         let mut fields = self.fields.iter();
+        fields.by_ref().take(begun.fields).for_each(drop);
         while let Some(field) = fields.next() {
             match field.get {
                 Get::U64(get) => at = field.varint(bytes, at, get(of)),

@@ -205,8 +205,8 @@ fn others_find_metadata_statistics_and_an_index_of_every_chunk() {
     let summary = mcap::Summary::read(&bytes).unwrap().unwrap();
     let statistics = summary.stats.unwrap();
     assert_eq!(statistics.message_count, 3 * 2_500 + 5);
-    // One each 100 ms; the cause of a late cycle came behind the last one.
-    assert_eq!((statistics.chunk_count, summary.chunk_indexes.len()), (26, 26));
+    // One each 50 ms; the cause of a late cycle came behind the last one.
+    assert_eq!((statistics.chunk_count, summary.chunk_indexes.len()), (51, 51));
     let mut about = Vec::new();
     for index in &summary.metadata_indexes {
         about.push(mcap::read::metadata(&bytes, index).unwrap());
@@ -238,7 +238,7 @@ fn spans(bytes: &[u8]) -> Vec<(u64, std::ops::RangeInclusive<u64>)> {
 }
 
 #[test]
-fn a_chunk_has_the_messages_of_100_ms_at_most() {
+fn a_chunk_has_the_messages_of_50_ms_at_most() {
     let of_period = |period_ns: u64, slots: &mut dyn Iterator<Item = u64>| {
         let mut writer = Writer::new(Vec::new(), Machine { period_ns, ..machine() }, UTC_NS).unwrap();
         let mut slots = slots.peekable();
@@ -254,7 +254,7 @@ fn a_chunk_has_the_messages_of_100_ms_at_most() {
         }
         spans(&writer.finish(0).unwrap())
     };
-    for (period_ns, of_a_chunk) in [(MS / 4, 400), (MS, 100), (30 * MS, 4), (100 * MS, 1), (S, 1)] {
+    for (period_ns, of_a_chunk) in [(MS / 4, 200), (MS, 50), (15 * MS, 4), (50 * MS, 1), (S, 1)] {
         let spans = of_period(period_ns, &mut (0..5 * of_a_chunk));
         assert_eq!(spans.len(), 5, "{period_ns}");
         for (chunk, (_, span)) in (0..).zip(spans) {
@@ -264,12 +264,12 @@ fn a_chunk_has_the_messages_of_100_ms_at_most() {
     }
     // Slots that are passed over.
     let spans = of_period(MS, &mut (0..2_000).filter(|index| index % 170 < 30));
-    assert!(spans.iter().all(|(_, span)| span.end() - span.start() < 100 * MS), "{spans:?}");
+    assert!(spans.iter().all(|(_, span)| span.end() - span.start() < 50 * MS), "{spans:?}");
 }
 
 #[test]
 fn a_file_that_was_cut_anywhere_has_all_chunks_before_that_and_it_is_said() {
-    let bytes = written(&records(520));
+    let bytes = written(&records(260));
     let chunks = chunks(&bytes);
     let (whole, _) = messages(bytes.clone());
     let edges = chunks.iter().flat_map(|chunk| [chunk.start, chunk.start + 1, chunk.end - 1, chunk.end]);
@@ -279,7 +279,7 @@ fn a_file_that_was_cut_anywhere_has_all_chunks_before_that_and_it_is_said() {
         assert!(matches!(wrong, Some(Wrong::Cut | Wrong::Foreign)), "{length}: {wrong:?}");
         // A cycle of two axes: three messages. Command and events stand in the first chunk. The last 4 bytes of a
         // chunk say that its LZ4 ends, and may be missing.
-        let of = |chunks: usize| if chunks > 0 { (300 * chunks + 4).min(whole.len()) } else { 0 };
+        let of = |chunks: usize| if chunks > 0 { (150 * chunks + 4).min(whole.len()) } else { 0 };
         let [least, most] =
             [0, 4].map(|mark| of(chunks.iter().filter(|chunk| chunk.end - mark <= length).count()));
         assert!((least..=most).contains(&read.len()), "{length}: {} of {least} to {most}", read.len());
@@ -289,7 +289,7 @@ fn a_file_that_was_cut_anywhere_has_all_chunks_before_that_and_it_is_said() {
 
 #[test]
 fn a_changed_byte_is_damage_and_the_files_of_others_are_foreign() {
-    let bytes = written(&records(350));
+    let bytes = written(&records(175));
     let (whole, _) = messages(bytes.clone());
     let chunk = chunks(&bytes)[2].clone();
     // Behind the head of its LZ4, up to the mark of its end: the checksum of the chunk has the rest.
@@ -300,7 +300,7 @@ fn a_changed_byte_is_damage_and_the_files_of_others_are_foreign() {
         match wrong {
             // Nothing of the chunk.
             Some(Wrong::Damaged(why)) if why.contains("CRC") || why.contains("decompression") => {
-                assert_eq!(read[..], whole[..604], "{place}");
+                assert_eq!(read[..], whole[..304], "{place}");
             }
             // The same bytes stand in another place, too.
             Some(Wrong::Somewhere(_)) => assert_eq!(read, whole, "{place}"),

@@ -8,7 +8,7 @@ use super::container::Container;
 use super::machine::{END, MACHINE, Machine, PROGRAM};
 use super::messages::{self, At, AxisRecord, CommandText, EventText, LateText, NativeValues};
 use super::native::Parts;
-use super::schema::Table;
+use super::schema::{Begun, Table};
 use super::wire::Wire;
 use crate::summary::named;
 use fieldbeat_core::cycle::record::{
@@ -50,6 +50,10 @@ pub struct Writer<W: Write> {
     late: Topic<At<LateText>>,
     /// The log of the loop, if it is recorded, too.
     wire: Option<Wire>,
+    every: Table<At<()>>,
+    /// What the messages of a cycle begin with, and which cycle and instant that is.
+    begun: Begun,
+    begun_of: (u64, Time),
     /// Those of a cycle whose own record is still to come.
     pending: Vec<Record>,
     /// A cycle, and its instant on the grid.
@@ -93,8 +97,19 @@ impl<T> Topic<T> {
 
     /// Writes its next message, of an instant of UTC.
     fn send<W: Write>(&mut self, out: &mut Container<W>, utc_ns: u64, of: &T) -> io::Result<()> {
+        self.send_behind(&Begun::default(), out, utc_ns, of)
+    }
+
+    /// The same of one whose first fields are known.
+    fn send_behind<W: Write>(
+        &mut self,
+        begun: &Begun,
+        out: &mut Container<W>,
+        utc_ns: u64,
+        of: &T,
+    ) -> io::Result<()> {
         self.sequence = self.sequence.wrapping_add(1);
-        out.message(self.channel, self.sequence, utc_ns, |bytes| self.table.encode(of, bytes))
+        out.message(self.channel, self.sequence, utc_ns, |bytes| self.table.encode_behind(begun, of, bytes))
     }
 }
 
@@ -145,6 +160,9 @@ impl<W: Write> Writer<W> {
             wire,
             out,
             machine,
+            every: messages::every(),
+            begun: Begun::default(),
+            begun_of: (0, Time(0)),
             pending: Vec::new(),
             grid: (0, Time(0)),
             utc_ns,
@@ -252,17 +270,21 @@ impl<W: Write> Writer<W> {
         let now = self.instant(cycle);
         let utc_ns = now.0.saturating_add_signed(self.utc_ns);
         let monotonic_ns = now.0;
-        let out = &mut self.out;
+        if self.begun_of != (cycle, now) {
+            self.begun.begin(&self.every, &At { cycle, monotonic_ns, of: () });
+            self.begun_of = (cycle, now);
+        }
+        let (out, begun) = (&mut self.out, &self.begun);
         let sent = match *record {
             Record::Drive(drive) => {
                 let axis = usize::from(drive.axis);
                 let Some(topic) = self.axes.get_mut(axis) else { return Ok(()) };
                 let of = AxisRecord { drive, modulo: self.machine.axes[axis].modulo };
-                topic.send(out, utc_ns, &At { cycle, monotonic_ns, of })
+                topic.send_behind(begun, out, utc_ns, &At { cycle, monotonic_ns, of })
             }
             Record::Monitor(of) => {
                 let Some(Some(topic)) = self.monitors.get_mut(usize::from(of.axis)) else { return Ok(()) };
-                topic.send(out, utc_ns, &At { cycle, monotonic_ns, of })
+                topic.send_behind(begun, out, utc_ns, &At { cycle, monotonic_ns, of })
             }
             Record::Reference(of) => self.reference.send(out, utc_ns, &At { cycle, monotonic_ns, of }),
             Record::Cycle(of) => self.cycle.send(out, utc_ns, &At { cycle, monotonic_ns, of }),
