@@ -1,6 +1,7 @@
 //! What becomes of the axes when a program with a master of its own ends, in whichever way, by the reports of the
 //! drives. One test for each row of the manual's table.
 
+use std::path::Path;
 use std::process::exit;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, OnceLock};
@@ -12,7 +13,7 @@ use libc::{SIGABRT, SIGHUP, SIGINT, SIGKILL, SIGTERM};
 
 use super::support::controller::{RAMP, TARGET, config, set_all_out};
 use super::support::onlooker::{Onlooker, Sight};
-use super::support::{Ended, LONG, Machine, Program, again, role, until};
+use super::support::{Ended, LONG, Machine, Program, again, memory_of, role, until};
 use super::{MS, simulation};
 
 /// The test that plays the hosts of all others.
@@ -29,7 +30,8 @@ fn play(role: &str) {
     let now = Arc::new(AtomicBool::new(false));
     let of_task = Arc::clone(&now);
     let in_task = what.to_owned();
-    let mut setup = Master::from_file(config).unwrap().with_task(move |_, _| {
+    let boxes = Path::new(config).with_file_name("boxes");
+    let mut setup = Master::from_file(config).unwrap().with_black_box(boxes).with_task(move |_, _| {
         if of_task.load(Ordering::Relaxed) && in_task == "exit-in-task" {
             exit(5);
         }
@@ -182,7 +184,12 @@ fn end_so(first: u8, rows: &[(&str, Option<i32>, End, bool)]) {
                 scope.spawn(move || {
                     let hosted = Hosted::start(test, what);
                     signal.iter().for_each(|signal| hosted.host.signal(*signal));
+                    let process = hosted.host.pid();
                     let (ended, after) = hosted.end();
+                    // What is no orderly end leaves the last records.
+                    let memory = memory_of(process);
+                    assert_eq!(memory.is_some(), !stops || *end == End::Signal(SIGABRT), "{what} {signal:?}");
+                    memory.map(std::fs::remove_file);
                     let by = ended.signal.map(End::Signal).or(ended.code.map(End::Code));
                     assert_eq!(by, Some(*end), "{what} {signal:?}: {ended:?}");
                     let goes_on = |sight: &Sight| sight.moving && sight.operating;

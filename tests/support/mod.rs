@@ -439,9 +439,7 @@ impl Program {
 
     /// The memory of its records, once it has one.
     pub fn memory(&self) -> Option<PathBuf> {
-        let name = format!("fieldbeat-{}-", self.pid());
-        let mut entries = std::fs::read_dir("/dev/shm").ok()?.flatten();
-        entries.find(|entry| entry.file_name().to_string_lossy().starts_with(&name)).map(|entry| entry.path())
+        memory_of(self.pid())
     }
 }
 
@@ -464,6 +462,13 @@ fn collect(mut from: impl Read + Send + 'static, into: Text) -> JoinHandle<()> {
             into.lock().unwrap().push_str(&String::from_utf8_lossy(&bytes[..count]));
         }
     })
+}
+
+/// The memory of a process' records, if there is one.
+pub fn memory_of(process: u32) -> Option<PathBuf> {
+    let name = format!("fieldbeat-{process}-");
+    let mut entries = std::fs::read_dir("/dev/shm").ok()?.flatten();
+    entries.find(|entry| entry.file_name().to_string_lossy().starts_with(&name)).map(|entry| entry.path())
 }
 
 /// Runs the program to its end.

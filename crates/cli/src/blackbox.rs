@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use fieldbeat_record::blackbox::left::Orphan;
+use fieldbeat_record::blackbox::left::{Orphan, Other};
 use fieldbeat_record::blackbox::list::Listing;
 use fieldbeat_record::blackbox::{default_directory, events, file};
 use serde_json::json;
@@ -60,6 +60,17 @@ impl BlackBox {
                     file.display()
                 )),
             }
+        }
+        for Other { path, directory } in Orphan::others(&directory) {
+            let remedy = match directory {
+                Some(directory) => format!(
+                    "a program whose black box is in {0}; `fieldbeat blackbox --list --black-box {0}` makes a file \
+                     of it",
+                    directory.display()
+                ),
+                None => "another version; list its black boxes with that one, or remove it".to_owned(),
+            };
+            complain(&format!("{} was left by {remedy}", path.display()));
         }
         let listing = Listing::of(&directory).map_err(|error| {
             let remedy = "name a directory that this user may read, with --black-box DIR";

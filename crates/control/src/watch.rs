@@ -2,8 +2,8 @@
 //!
 //! The question `watch` is answered with what the records are of. The question `records` after it begins a stream, one
 //! way and up to the end of either side: frames of a kind, a length in four bytes, and so many bytes. The records have
-//! the bytes that they have in memory. Whoever reads too slowly loses records, and gets their number; the telemetry thread waits
-//! for nobody.
+//! the bytes that they have in memory. Whoever reads too slowly loses records, and gets their number; the telemetry
+//! thread waits for nobody.
 
 use std::io::{self, Read};
 use std::os::unix::net::UnixStream;

@@ -78,8 +78,8 @@ impl Devices {
 }
 
 /// Opens the buses of `plan` over `carriers` and builds the loop for a caller that steps it by hand on its own
-/// thread, clock and carriers: virtual time and the benches. `kept` says which of the loop's records stay at hand. Sends
-/// nothing.
+/// thread, clock and carriers: virtual time and the benches. `kept` says which of the loop's records stay at hand.
+/// Sends nothing.
 pub fn assemble<C: Clock>(
     plan: &Plan,
     clock: C,

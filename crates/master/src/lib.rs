@@ -447,7 +447,7 @@ impl Setup {
         realtime: RealtimePlan,
         mut regions: Regions,
     ) -> Result<Master, StartError> {
-        let Setup { plan, task, mut black_box, sink, stop_on_signals, .. } = self;
+        let Setup { plan, task, black_box, sink, stop_on_signals, .. } = self;
         let has_task = task.is_some();
         if stop_on_signals {
             process::catch_signals(realtime.core_to_be()).map_err(StartError::Thread)?;
@@ -456,8 +456,7 @@ impl Setup {
         let running = Running::begin(timeouts).map_err(StartError::Thread)?;
         let control = running.control();
         let steal_before_ms = rt::host::steal_ms(None);
-        black_box.iter_mut().for_each(|black_box| black_box.recover());
-        let kept = kept_for(black_box.as_deref(), true);
+        let kept = kept_for(&plan, black_box.as_deref(), true);
         let assembly = assemble(&plan, clock, carriers, task, control.clone(), kept)?;
         let Assembly {
             mut engine,
@@ -533,8 +532,8 @@ impl Setup {
         };
         if let Some(error) = unnamed {
             let what = format!(
-                "a program that is killed loses its black box: its records cannot be in /dev/shm ({error}); make room \
-                 there"
+                "a kill of this program would lose its black box, whose records cannot be in /dev/shm: {error}; make \
+                 that a directory in memory (tmpfs) with room for them"
             );
             telemetry.gathered().failed(&what, false);
         }
@@ -554,9 +553,9 @@ impl Setup {
 }
 
 /// What stays at hand for a black box; `outlives`: also once this process has ended.
-fn kept_for(black_box: Option<&dyn Keep>, outlives: bool) -> Kept {
+fn kept_for(plan: &Plan, black_box: Option<&dyn Keep>, outlives: bool) -> Kept {
     black_box.map_or(Kept::default(), |black_box| Kept {
-        records: black_box.kept(),
+        records: plan.black_box_records(),
         about: outlives.then(|| black_box.about()),
     })
 }

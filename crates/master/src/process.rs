@@ -14,7 +14,7 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use fieldbeat_core::cycle::engine::Control;
-use fieldbeat_core::rt;
+use fieldbeat_core::rt::{self, mapping};
 use fieldbeat_core::time::nanos;
 
 /// An end that is longer is hurried.
@@ -251,6 +251,7 @@ extern "C" fn on_signal(signal: c_int) {
 
 /// `abort` ends the process as soon as this returns; so it waits, on the thread that aborts.
 extern "C" fn on_abort(signal: c_int) {
+    mapping::crashes();
     end_all();
     end_by(signal);
 }

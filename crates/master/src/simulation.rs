@@ -130,8 +130,14 @@ impl Setup {
         let clock = LoggedClock::new(world.clock(), &log);
         let logged = LoggedCarriers::new(&world, &log);
         let carriers: &dyn Carriers = if log.is_on() { &logged } else { &world };
-        let Assembly { mut engine, axes, devices, acyclics, gauges, records, pulse, wires, .. } =
-            assemble(&plan, clock, carriers, task, control.clone(), kept_for(black_box.as_deref(), false))?;
+        let Assembly { mut engine, axes, devices, acyclics, gauges, records, pulse, wires, .. } = assemble(
+            &plan,
+            clock,
+            carriers,
+            task,
+            control.clone(),
+            kept_for(&plan, black_box.as_deref(), false),
+        )?;
         engine.begin();
         if let Some((_, sink)) = &mut sink {
             sink.begin(utc_ns(engine.clock().inner().now()));

@@ -215,13 +215,10 @@ impl Run {
 /// What writes the last records to a file when something fails. It runs on the telemetry thread.
 #[doc(hidden)]
 pub trait Keep: fmt::Debug + Send {
-    /// How many records are to stay at hand behind the newest one.
-    fn kept(&self) -> usize;
-
     /// What a reader of their memory needs to know of them after the program has ended.
     fn about(&self) -> Vec<u8>;
 
-    /// Makes files of what earlier programs have left that were killed.
+    /// Makes files of what earlier programs have left that were killed. Comes first.
     fn recover(&mut self);
 
     /// Notices what fails. `record` is the newest one that `ring` keeps.
@@ -369,6 +366,7 @@ impl TelemetryThread {
         let shared = Arc::clone(&gathered);
         let thread = std::thread::Builder::new().name("fb-telemetry".into()).spawn(move || {
             prepare();
+            black_box.iter_mut().for_each(|black_box| black_box.recover());
             let gathered = Arc::clone(&shared);
             let work = move || {
                 let mut late_at = None;
@@ -543,10 +541,6 @@ mod tests {
     struct Panics;
 
     impl Keep for Panics {
-        fn kept(&self) -> usize {
-            0
-        }
-
         fn about(&self) -> Vec<u8> {
             Vec::new()
         }
@@ -590,10 +584,6 @@ mod tests {
     }
 
     impl Keep for Held {
-        fn kept(&self) -> usize {
-            0
-        }
-
         fn about(&self) -> Vec<u8> {
             Vec::new()
         }

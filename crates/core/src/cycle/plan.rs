@@ -188,10 +188,12 @@ impl Plan {
         if errors.is_empty() { Ok(()) } else { Err(PlanErrors(errors)) }
     }
 
-    /// How many records the black box holds: those of each of its cycles.
+    /// How many records the black box holds: those of each of its cycles. Native process data that are recorded take
+    /// none of its time, though it does not write them.
     pub fn black_box_records(&self) -> usize {
         let cycles = self.cycle.black_box_ns / self.cycle.period_ns.max(1);
-        usize::try_from(cycles).unwrap_or(0).saturating_mul(self.records_a_cycle())
+        let of_a_cycle = self.records_a_cycle() + self.native_records_a_cycle();
+        usize::try_from(cycles).unwrap_or(0).saturating_mul(of_a_cycle)
     }
 
     /// Why the bus that is named as the reference cannot lead the grid.

@@ -97,8 +97,8 @@ pub fn records(
     let about = kept.about.as_deref().unwrap_or_default();
     let bytes = records_at(about.len()).saturating_add(slots.saturating_mul(RECORD));
     let bytes = NonZeroUsize::MIN.saturating_add(bytes - 1);
-    let named = kept.about.is_some().then(|| Mapping::named(bytes));
-    let (mapping, unnamed) = match named {
+    let shared = kept.about.is_some().then(|| Mapping::shared(bytes));
+    let (mapping, mut unnamed) = match shared {
         Some(Ok(mapping)) => (mapping, None),
         Some(Err(error)) => (Mapping::anonymous(bytes), Some(error)),
         None => (Mapping::anonymous(bytes), None),
@@ -123,6 +123,7 @@ pub fn records(
         begin.cast::<Head>().write(head);
         begin.add(records_at(about.len())).cast().as_ptr()
     };
+    unnamed = unnamed.or(mapping.appear().err());
     let shared = Arc::new(Shared { mapping, records, slots: slots as u64, room: room as u64 });
     let writer = RecordWriter { shared: Arc::clone(&shared), written: 0, at: 0, read: 0 };
     let kept = kept.records as u64;
@@ -141,14 +142,14 @@ pub struct RecordWriter {
 }
 
 impl RecordWriter {
-    /// For how many records there is room, `least` at least if there is.
+    /// For how many records there is room, for as many as `wanted` if there is.
     #[inline]
-    fn room(&mut self, least: u64) -> u64 {
+    fn room(&mut self, wanted: usize) -> u64 {
         let room = self.shared.room;
         // Nobody reads: the number of what was read is beyond all.
         let free = |written: u64, read| room.saturating_sub(written.saturating_sub(read));
         match free(self.written, self.read) {
-            free if free >= least => free,
+            free if free >= wanted as u64 => free,
             _ => {
                 self.read = self.shared.head().read.load(Ordering::Acquire);
                 free(self.written, self.read)
@@ -159,19 +160,35 @@ impl RecordWriter {
     /// Writes a record; `false`: there is no room.
     #[inline]
     pub fn push(&mut self, record: Record) -> bool {
-        self.fill(1, std::iter::once(record))
+        let has_room = self.room(1) > 0;
+        if has_room {
+            self.write(1, std::iter::once(record));
+        }
+        has_room
     }
 
-    /// Writes records, built in their slots and announced together, while there are more and there is room. Without
-    /// room for as many as `least`, none.
+    /// Writes so many records, built in their slots; `false`: there is no room for all of them, and none was made.
     #[inline]
-    pub fn fill(&mut self, least: usize, records: impl Iterator<Item = Record>) -> bool {
-        let room = self.room(least as u64);
-        if room < least as u64 {
-            return false;
+    pub fn push_all(&mut self, count: usize, records: impl Iterator<Item = Record>) -> bool {
+        let has_room = self.room(count) >= count as u64;
+        if has_room {
+            self.write(count as u64, records);
         }
+        has_room
+    }
+
+    /// Writes records while there is room for more, `most` at most.
+    #[inline]
+    pub fn push_some(&mut self, most: usize, records: impl Iterator<Item = Record>) {
+        let room = self.room(most);
+        self.write(room.min(most as u64), records);
+    }
+
+    /// Writes so many records at most, for which there is room. They are announced together.
+    #[inline]
+    fn write(&mut self, most: u64, records: impl Iterator<Item = Record>) {
         let (mut at, mut written) = (self.at, self.written);
-        for record in records.take(room as usize) {
+        for record in records.take(most as usize) {
             // SAFETY: one of the slots, and one that the reader has left: not more are taken than there is room for.
             unsafe { self.shared.records.add(at).write(record) };
             at = if at + 1 == self.shared.slots as usize { 0 } else { at + 1 };
@@ -179,7 +196,15 @@ impl RecordWriter {
         }
         (self.at, self.written) = (at, written);
         self.shared.head().written.store(written, Ordering::Release);
-        true
+    }
+}
+
+impl Drop for RecordWriter {
+    /// The loop has ended: what follows is no crash, however the process ends.
+    fn drop(&mut self) {
+        if !std::thread::panicking() {
+            self.shared.mapping.disappear();
+        }
     }
 }
 
@@ -225,6 +250,11 @@ impl RecordReader {
         record
     }
 
+    /// Whether older records than those of [`kept`](Self::kept) are gone.
+    pub fn is_cut(&self) -> bool {
+        self.next.get() > self.kept
+    }
+
     /// The newest records up to the one that was read last, the oldest first: as many as the ring keeps, if there were
     /// as many.
     pub fn kept(&self) -> impl Iterator<Item = &Record> {
@@ -236,24 +266,31 @@ impl RecordReader {
 }
 
 impl Drop for RecordReader {
-    /// Nobody reads any more: the newest records replace the oldest.
+    /// Nobody reads any more: the newest records replace the oldest. If that is an error of ours, whoever looks at them
+    /// later finds them.
     fn drop(&mut self) {
+        if std::thread::panicking() {
+            self.shared.mapping.leave();
+        }
         self.shared.head().read.store(u64::MAX, Ordering::Release);
     }
 }
 
 /// What a process has left in its memory.
 #[derive(Debug)]
-pub struct Remains {
+pub struct Remains<F> {
+    memory: F,
     /// What it says of the records.
     pub about: Vec<u8>,
-    /// The newest records, the oldest first.
-    pub records: Vec<Record>,
+    begin: u64,
+    slots: u64,
+    kept: u64,
+    written: u64,
 }
 
-impl Remains {
-    /// Reads the memory of a process that has ended; `None`: it is none, or of another layout.
-    pub fn read(mut memory: impl Read + Seek) -> io::Result<Option<Remains>> {
+impl<F: Read + Seek> Remains<F> {
+    /// That of this memory; `None`: it is none, or of another layout.
+    pub fn of(mut memory: F) -> io::Result<Option<Remains<F>>> {
         let length = memory.seek(SeekFrom::End(0))?;
         memory.rewind()?;
         let mut head = [0; size_of::<Head>()];
@@ -263,30 +300,38 @@ impl Remains {
         memory.read_exact(&mut head)?;
         let number = |at: usize| head[at..].first_chunk().map_or(0, |bytes| u64::from_ne_bytes(*bytes));
         let written = number(offset_of!(Head, written));
-        let [about, slots, kept] =
+        let [length_of_about, slots, kept] =
             [offset_of!(Head, about), offset_of!(Head, slots), offset_of!(Head, kept)].map(number);
         let layout = [LAYOUT, RECORD as u32].map(u32::to_ne_bytes).concat();
         let is_known = head[..8] == MARK && head[8..16] == layout[..];
-        if !is_known || about > MOST_ABOUT as u64 || slots == 0 || kept > slots {
+        if !is_known || length_of_about > MOST_ABOUT as u64 || slots == 0 || kept > slots {
             return Ok(None);
         }
-        let begin = records_at(about as usize) as u64;
+        let begin = records_at(length_of_about as usize) as u64;
         if slots.checked_mul(RECORD as u64).and_then(|bytes| bytes.checked_add(begin)) != Some(length) {
             return Ok(None);
         }
-        let mut bytes = vec![0; about as usize];
+        let mut about = vec![0; length_of_about as usize];
         memory.seek(SeekFrom::Start(ABOUT as u64))?;
-        memory.read_exact(&mut bytes)?;
-        let mut all = Vec::new();
-        memory.seek(SeekFrom::Start(begin))?;
-        memory.read_to_end(&mut all)?;
-        let slot = |number: u64| {
-            let at = (number % slots) as usize * RECORD;
-            Record::load(all.get(at..at + RECORD)?)
+        memory.read_exact(&mut about)?;
+        Ok(Some(Remains { memory, about, begin, slots, kept, written }))
+    }
+
+    /// Whether older records than its newest are gone.
+    pub fn is_cut(&self) -> bool {
+        self.written > self.kept
+    }
+
+    /// The newest records, the newest first. One that means nothing is left out: the others are whole all the same.
+    pub fn newest(&mut self) -> impl Iterator<Item = Record> {
+        let Remains { memory, begin, slots, kept, written, .. } = self;
+        let mut record = |number: u64| {
+            let mut bytes = [0; RECORD];
+            memory.seek(SeekFrom::Start(*begin + number % *slots * RECORD as u64)).ok()?;
+            memory.read_exact(&mut bytes).ok()?;
+            Record::load(&bytes)
         };
-        // One that means nothing is passed over: the others are whole all the same.
-        let records = (written.saturating_sub(kept)..written).filter_map(slot).collect();
-        Ok(Some(Remains { about: bytes, records }))
+        (written.saturating_sub(*kept)..*written).rev().filter_map(move |number| record(number))
     }
 }
 
@@ -424,9 +469,10 @@ mod tests {
     #[test]
     fn every_record_comes_back_from_the_memory_of_a_process_that_has_ended() {
         let records = every();
-        let remains = Remains::read(Cursor::new(left(&records, records.len()))).unwrap().unwrap();
-        assert_eq!((&*remains.about, remains.records.len()), (&b"a machine"[..], records.len()));
-        for (record, known) in remains.records.into_iter().zip(records) {
+        let mut remains = Remains::of(Cursor::new(left(&records, records.len()))).unwrap().unwrap();
+        assert_eq!((&*remains.about, remains.is_cut()), (&b"a machine"[..], false));
+        assert_eq!(remains.newest().count(), records.len());
+        for (record, known) in remains.newest().zip(records.into_iter().rev()) {
             let (Record::Event(event), Record::Event(known_event)) = (record, known) else {
                 assert_eq!((record, Record::load(&record.store())), (known, Some(known)));
                 continue;
@@ -442,8 +488,9 @@ mod tests {
         let failure = Failure::Limit { what: "position", value: 9.0, low: 0.0, high: 8.0 };
         let kind = EventKind::Ended { id: CommandId(1), command: "move", outcome: Outcome::Failed(failure) };
         let event = Record::Event(EventRecord::new(3, 0, kind, None));
-        let remains = Remains::read(Cursor::new(left(&[event], 1))).unwrap().unwrap();
-        let [Record::Event(event)] = remains.records[..] else { panic!("{:?}", remains.records) };
+        let mut remains = Remains::of(Cursor::new(left(&[event, event], 1))).unwrap().unwrap();
+        let newest: Vec<Record> = remains.newest().collect();
+        let ([Record::Event(event)], true) = (&newest[..], remains.is_cut()) else { panic!("{newest:?}") };
         let text = event.kind().unwrap().to_string();
         assert!(text.contains("9 is outside its limit (0 ... 8)"), "{text}");
     }
@@ -460,9 +507,8 @@ mod tests {
                 damaged[at] = random.u8(..);
             }
             damaged.truncate(if random.bool() { damaged.len() } else { random.usize(..damaged.len()) });
-            if let Some(remains) = Remains::read(Cursor::new(damaged)).unwrap() {
-                assert!(remains.records.len() <= records.len());
-                for record in remains.records {
+            if let Some(mut remains) = Remains::of(Cursor::new(damaged)).unwrap() {
+                for record in remains.newest().take(records.len()) {
                     let _ = format!("{record:?}");
                     if let Record::Event(event) = record {
                         let _ = event.kind().map(|kind| kind.to_string());
@@ -471,7 +517,7 @@ mod tests {
             }
         }
         for foreign in [&whole[1..], &whole[..whole.len() - 1], &whole[..100], &[]] {
-            assert!(Remains::read(Cursor::new(foreign)).unwrap().is_none());
+            assert!(Remains::of(Cursor::new(foreign)).unwrap().is_none());
         }
     }
 
@@ -488,7 +534,7 @@ mod tests {
         assert_eq!(indices(std::iter::from_fn(|| reader.next())), [1, 2, 3, 4]);
         assert_eq!((indices(reader.kept()), reader.is_empty()), (vec![2, 3, 4], true));
         reader.release();
-        assert!(writer.fill(4, (5..9).map(cycle)) && !writer.fill(1, std::iter::once(cycle(9))));
+        assert!(writer.push_all(4, (5..9).map(cycle)) && !writer.push_all(1, std::iter::once(cycle(9))));
         assert_eq!(indices(reader.kept()), [2, 3, 4]);
         // Without anybody who reads, the newest replace the oldest.
         drop(reader);
@@ -509,7 +555,7 @@ mod tests {
                     let most = random.usize(1..=room).min((COUNT - next) as usize);
                     let done = match random.bool() {
                         true => u64::from(writer.push(cycle(next))),
-                        false if writer.fill(most, (next..).take(most).map(cycle)) => most as u64,
+                        false if writer.push_all(most, (next..).map(cycle)) => most as u64,
                         false => 0,
                     };
                     next += done;

@@ -1,7 +1,7 @@
 //! Records as bytes, for another process of this computer: in a memory that was left behind, or in a stream. The loop
-//! stores them as they are, so their layout is fixed: each is `repr(C)` behind a byte for its kind, and what the language
-//! leaves open is asserted below. Bytes are no records before they were looked at: a number that means nothing makes
-//! them none.
+//! stores them as they are, so their layout is fixed: each is `repr(C)` behind a byte for its kind, and what the
+//! language leaves open is asserted below. Bytes are no records before they were looked at: a number that means nothing
+//! makes them none.
 
 use std::mem::offset_of;
 use std::num::NonZeroU32;

@@ -1,20 +1,25 @@
-//! Memory of a mapping of its own: of this process alone, or of a name that outlives it.
+//! Memory of a mapping of its own: of this process alone, or with a name that outlives it.
 //!
-//! A named one is a file of /dev/shm, which is memory, never a disk: the kernel writes none of it back, so that no
+//! A name is that of a file in /dev/shm, which is memory, never a disk: the kernel writes none of it back, so that no
 //! write to it faults, whatever `sync` does meanwhile. Its process holds a lock on it; what is there without that lock
-//! was left behind. The name goes with an orderly end.
+//! was left behind. The name appears once its owner has written what a reader needs, and goes with an orderly end.
 
 use std::alloc::{Layout, handle_alloc_error};
 use std::fs::{File, OpenOptions};
 use std::io;
 use std::num::NonZeroUsize;
+use std::os::fd::AsRawFd;
 use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 use std::ptr::NonNull;
+use std::sync::OnceLock;
+use std::sync::atomic::{AtomicBool, Ordering};
 
-use nix::fcntl::{FallocateFlags, Flock, FlockArg, fallocate};
+use nix::errno::Errno;
+use nix::fcntl::{AT_FDCWD, AtFlags, FallocateFlags, Flock, FlockArg, fallocate};
 use nix::sys::mman::{MapFlags, ProtFlags, mmap, mmap_anonymous, munmap};
 use nix::sys::statfs::{TMPFS_MAGIC, fstatfs};
+use nix::unistd::linkat;
 
 use super::clock::MonotonicClock;
 
@@ -29,8 +34,22 @@ const PREFIX: &str = "fieldbeat-";
 pub struct Mapping {
     begin: NonNull<u8>,
     length: NonZeroUsize,
-    /// Its name, and the lock that says that its process lives.
-    name: Option<(PathBuf, Flock<File>)>,
+    /// The lock that says that its process lives; `None`: of this process alone.
+    file: Option<Flock<File>>,
+    name: OnceLock<PathBuf>,
+    /// A process that was forked has no say in it.
+    owner: u32,
+    /// The name is to stay.
+    is_left: AtomicBool,
+}
+
+/// This process is about to crash: all names are to stay.
+static CRASHES: AtomicBool = AtomicBool::new(false);
+
+/// This process is about to end by an error: the memory of its masters stays for whoever looks at it later. May be
+/// called by the handler of a signal.
+pub fn crashes() {
+    CRASHES.store(true, Ordering::Relaxed);
 }
 
 // SAFETY: it owns the memory as a box does.
@@ -39,23 +58,40 @@ unsafe impl Send for Mapping {}
 unsafe impl Sync for Mapping {}
 
 impl Mapping {
+    fn new(begin: NonNull<u8>, length: NonZeroUsize, file: Option<Flock<File>>) -> Mapping {
+        let (name, owner, is_left) = (OnceLock::new(), std::process::id(), AtomicBool::new(false));
+        Mapping { begin, length, file, name, owner, is_left }
+    }
+
     /// Of this process alone. Without memory the process ends, as it does with that of a `Vec`.
     pub fn anonymous(length: NonZeroUsize) -> Mapping {
         let rights = ProtFlags::PROT_READ | ProtFlags::PROT_WRITE;
         // SAFETY: a new mapping at an address that the kernel chooses.
         let begin = unsafe { mmap_anonymous(None, length, rights, MapFlags::MAP_PRIVATE) };
-        let begin = begin.unwrap_or_else(|_| handle_alloc_error(Layout::new::<u8>()));
-        Mapping { begin: begin.cast(), length, name: None }
+        let layout = Layout::array::<u8>(length.get()).unwrap_or(Layout::new::<u8>());
+        Mapping::new(begin.unwrap_or_else(|_| handle_alloc_error(layout)).cast(), length, None)
     }
 
-    /// With a name, for this user alone. All of it is reserved: a write never fails for want of memory.
-    pub fn named(length: NonZeroUsize) -> io::Result<Mapping> {
-        let name = format!("{PREFIX}{}-{:x}", std::process::id(), MonotonicClock::read().0);
-        let path = Path::new(DIRECTORY).join(name);
-        let file = OpenOptions::new().read(true).write(true).create_new(true).mode(0o600).open(&path)?;
-        // Nobody else knows of it.
-        let (begin, file) = reserved(file, length).inspect_err(|_| drop(std::fs::remove_file(&path)))?;
-        Ok(Mapping { begin, length, name: Some((path, file)) })
+    /// For a name, and for this user alone. All of it is reserved: a write never fails for want of memory.
+    pub fn shared(length: NonZeroUsize) -> io::Result<Mapping> {
+        let options =
+            OpenOptions::new().read(true).write(true).custom_flags(libc::O_TMPFILE).mode(0o600).clone();
+        let file = options.open(DIRECTORY)?;
+        if fstatfs(&file)?.filesystem_type() != TMPFS_MAGIC {
+            return Err(io::Error::other(format!("{DIRECTORY} is not memory (tmpfs)")));
+        }
+        let file = locked(file)?;
+        let size = i64::try_from(length.get()).map_err(|_| io::ErrorKind::FileTooLarge)?;
+        // A signal ends it too early.
+        while let Err(errno) = fallocate(&*file, FallocateFlags::empty(), 0, size) {
+            if errno != Errno::EINTR {
+                return Err(errno.into());
+            }
+        }
+        let rights = ProtFlags::PROT_READ | ProtFlags::PROT_WRITE;
+        // SAFETY: a new mapping at an address that the kernel chooses. Only this user may shorten the file.
+        let begin = unsafe { mmap(None, length, rights, MapFlags::MAP_SHARED, &*file, 0)? };
+        Ok(Mapping::new(begin.cast(), length, Some(file)))
     }
 
     /// Its first byte. It is aligned to a page.
@@ -68,24 +104,34 @@ impl Mapping {
         self.length.get()
     }
 
+    /// Gives shared memory its name: from here on it outlives the process.
+    pub fn appear(&self) -> io::Result<()> {
+        let Some(file) = &self.file else { return Ok(()) };
+        let name = format!("{PREFIX}{}-{:x}", std::process::id(), MonotonicClock::read().0);
+        let path = Path::new(DIRECTORY).join(name);
+        let unnamed = format!("/proc/self/fd/{}", file.as_raw_fd());
+        linkat(AT_FDCWD, unnamed.as_str(), AT_FDCWD, &path, AtFlags::AT_SYMLINK_FOLLOW)?;
+        let _ = self.name.set(path);
+        Ok(())
+    }
+
     /// Where it is after this process has ended.
     pub fn path(&self) -> Option<&Path> {
-        self.name.as_ref().map(|(path, _)| &**path)
+        self.name.get().map(PathBuf::as_path)
     }
-}
 
-/// Locks a new file, makes it so long, and maps it.
-fn reserved(file: File, length: NonZeroUsize) -> io::Result<(NonNull<u8>, Flock<File>)> {
-    if fstatfs(&file)?.filesystem_type() != TMPFS_MAGIC {
-        return Err(io::Error::other(format!("{DIRECTORY} is not memory (tmpfs)")));
+    /// Its name is to stay: somebody else is to find it.
+    pub fn leave(&self) {
+        self.is_left.store(true, Ordering::Relaxed);
     }
-    let file = locked(file)?;
-    let size = i64::try_from(length.get()).map_err(|_| io::ErrorKind::FileTooLarge)?;
-    fallocate(&*file, FallocateFlags::empty(), 0, size)?;
-    let rights = ProtFlags::PROT_READ | ProtFlags::PROT_WRITE;
-    // SAFETY: a new mapping at an address that the kernel chooses. Only this user may shorten the file.
-    let begin = unsafe { mmap(None, length, rights, MapFlags::MAP_SHARED, &*file, 0)? };
-    Ok((begin.cast(), file))
+
+    /// Takes its name away, unless it is to stay.
+    pub fn disappear(&self) {
+        let stays = self.is_left.load(Ordering::Relaxed) || CRASHES.load(Ordering::Relaxed);
+        if let Some(path) = self.name.get().filter(|_| !stays && self.owner == std::process::id()) {
+            let _ = std::fs::remove_file(path);
+        }
+    }
 }
 
 /// Locks a file, unless another process has it.
@@ -95,44 +141,65 @@ fn locked(file: File) -> io::Result<Flock<File>> {
 
 impl Drop for Mapping {
     fn drop(&mut self) {
-        // SAFETY: mapped by this, and the last that knows it. Neither call fails for a mapping of ours.
+        self.disappear();
+        // SAFETY: mapped by this, and the last that knows it. It does not fail for a mapping of ours.
         let _ = unsafe { munmap(self.begin.cast(), self.length.get()) };
-        if let Some((path, _)) = &self.name {
-            let _ = std::fs::remove_file(path);
-        }
     }
 }
 
-/// The memory of a process that has ended without an orderly end. It is its holder's: nobody else finds it.
+/// Named memory of this user, of a process that lives or has ended.
 #[derive(Debug)]
-pub struct Left {
+pub struct Found {
     /// Its name.
     pub path: PathBuf,
     /// Its bytes.
-    pub file: Flock<File>,
+    pub file: File,
 }
 
-impl Left {
+/// That of a process that has ended. It is its holder's: nobody else gets it.
+#[derive(Debug)]
+pub struct Left {
+    path: PathBuf,
+    file: Flock<File>,
+}
+
+impl Found {
     /// All of this user.
-    pub fn all() -> impl Iterator<Item = Left> {
+    pub fn all() -> impl Iterator<Item = Found> {
         let entries = std::fs::read_dir(DIRECTORY).into_iter().flatten().flatten();
         let ours =
             entries.filter(|entry| entry.file_name().as_encoded_bytes().starts_with(PREFIX.as_bytes()));
-        ours.filter_map(|entry| Left::of(entry.path()))
+        ours.filter_map(|entry| Found::at(entry.path()))
     }
 
-    fn of(path: PathBuf) -> Option<Left> {
+    fn at(path: PathBuf) -> Option<Found> {
         let flags = libc::O_NOFOLLOW | libc::O_NONBLOCK;
         let file = OpenOptions::new().read(true).write(true).custom_flags(flags).open(&path).ok()?;
         let facts = file.metadata().ok()?;
         let is_ours = facts.is_file() && facts.uid() == nix::unistd::geteuid().as_raw();
-        // Otherwise its process lives, or somebody else looks at it.
-        is_ours.then(|| locked(file).ok()).flatten().map(|file| Left { path, file })
+        is_ours.then_some(Found { path, file })
+    }
+
+    /// Takes it over; `None`: its process lives, or somebody else has it or had it.
+    pub fn claim(self) -> Option<Left> {
+        let Found { path, file } = self;
+        let file = locked(file).ok()?;
+        (file.metadata().ok()?.nlink() > 0).then_some(Left { path, file })
+    }
+}
+
+impl Left {
+    /// Its bytes.
+    pub fn file(&self) -> &File {
+        &self.file
     }
 
     /// Gives the memory back.
     pub fn remove(self) -> io::Result<()> {
-        std::fs::remove_file(self.path)
+        match std::fs::remove_file(self.path) {
+            Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
+            _ => Ok(()),
+        }
     }
 }
 
@@ -142,16 +209,26 @@ mod tests {
 
     #[test]
     fn memory_is_left_by_those_alone_who_end_without_an_orderly_end() {
-        let Ok(mapping) = Mapping::named(NonZeroUsize::MIN) else { return println!("no {DIRECTORY} here") };
+        let Ok(mapping) = Mapping::shared(NonZeroUsize::MIN) else { return println!("no {DIRECTORY} here") };
+        assert!(mapping.path().is_none());
+        mapping.appear().unwrap();
         let path = mapping.path().unwrap().to_owned();
-        assert!(path.exists() && Left::of(path.clone()).is_none(), "its process lives");
+        let claim = || Found::at(path.clone()).and_then(Found::claim);
+        assert!(path.exists() && claim().is_none(), "its process lives");
+        mapping.disappear();
+        assert!(!path.exists());
         drop(mapping);
-        assert!(!path.exists());
-        // As a process leaves it that is killed.
-        std::fs::write(&path, [0]).unwrap();
-        let left = Left::of(path.clone()).unwrap();
-        assert!(Left::of(path.clone()).is_none(), "one looks at it at a time");
+
+        let mapping = Mapping::shared(NonZeroUsize::MIN).unwrap();
+        mapping.appear().unwrap();
+        mapping.leave();
+        let path = mapping.path().unwrap().to_owned();
+        drop(mapping);
+        let claim = || Found::at(path.clone()).and_then(Found::claim);
+        let late = Found::at(path.clone()).unwrap();
+        let left = claim().unwrap();
+        assert!(claim().is_none(), "one has it");
         left.remove().unwrap();
-        assert!(!path.exists());
+        assert!(!path.exists() && late.claim().is_none(), "one had it");
     }
 }

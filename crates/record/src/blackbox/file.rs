@@ -8,7 +8,7 @@ use std::time::UNIX_EPOCH;
 
 use serde::{Deserialize, Serialize};
 
-use crate::recording::machine::{CYCLE, Machine, PROGRAM, UNIT, WHY, WRITTEN};
+use crate::recording::machine::{CYCLE, Machine, PROGRAM, UNIT, WHY, WRITTEN, faults_of};
 use crate::recording::reading::{Entry, Reading, Wrong, about};
 use fieldbeat_core::axis::{Command, Emergency, EventKind, Fault, Link, MONITOR_CHANNELS, State, StopCause};
 use fieldbeat_core::cycle::Plan;
@@ -243,7 +243,9 @@ impl Loading {
         let axes = &mut self.header.axes;
         let place = u16::try_from(axes.len()).map_err(|_| Wrong::Damaged("too many axes".to_owned()))?;
         let unit = entry.topic.about.get(UNIT).cloned().unwrap_or_default();
-        axes.push(Axis { name: name.to_owned(), unit, ..Axis::default() });
+        let faults = faults_of(&entry.topic.about).take(MOST_FAULTS);
+        let faults = faults.map(|(code, name)| (code, name.clone())).collect();
+        axes.push(Axis { name: name.to_owned(), unit, faults, ..Axis::default() });
         self.places.insert(name.to_owned(), place);
         Ok(place)
     }

@@ -2,6 +2,7 @@
 //! file says.
 
 use std::collections::BTreeMap;
+use std::fs::File;
 use std::io;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
@@ -14,7 +15,7 @@ use crate::recording::newest::{Due, encode};
 use fieldbeat_core::cycle::record::Record;
 use fieldbeat_core::cycle::ring::Remains;
 use fieldbeat_core::rt::MonotonicClock;
-use fieldbeat_core::rt::mapping::Left;
+use fieldbeat_core::rt::mapping::{Found, Left};
 use fieldbeat_core::time::nanos;
 
 /// What stands in the memory beside the records.
@@ -70,44 +71,70 @@ impl About {
     }
 }
 
-/// The programs may run in other directories.
+/// The programs may run in other directories, or name it by a link. It need not be there yet.
 fn absolute(directory: &Path) -> PathBuf {
-    std::path::absolute(directory).unwrap_or_else(|_| directory.to_owned())
+    let directory = std::path::absolute(directory).unwrap_or_else(|_| directory.to_owned());
+    let known = |ancestor: &Path| {
+        let rest = directory.strip_prefix(ancestor).ok()?;
+        Some(ancestor.canonicalize().ok()?.join(rest))
+    };
+    directory.ancestors().find_map(known).unwrap_or_else(|| directory.clone())
 }
 
-/// What one program has left. Nobody else finds it meanwhile.
+/// What one program has left. It is its holder's: nobody else finds it.
 #[derive(Debug)]
 pub struct Orphan {
     memory: Left,
     about: About,
-    records: Vec<Record>,
     due: Due,
     /// When its last cycle was.
     ended: SystemTime,
+}
+
+/// Memory of which no file is made here.
+#[derive(Debug)]
+pub struct Other {
+    /// Its name.
+    pub path: PathBuf,
+    /// Where the black box of its program wrote its files; `None`: it is of another version.
+    pub directory: Option<PathBuf>,
 }
 
 impl Orphan {
     /// That of each program whose black box wrote to `directory`, and that has ended without an orderly end.
     pub fn all(directory: &Path) -> Vec<Orphan> {
         let directory = absolute(directory);
-        Left::all().filter_map(Orphan::of).filter(|orphan| orphan.about.directory == directory).collect()
+        let is_of_it =
+            |found: &Found| about(&found.file).is_some_and(|(about, _)| about.directory == directory);
+        Found::all().filter(is_of_it).filter_map(Found::claim).filter_map(Orphan::of).collect()
+    }
+
+    /// That of all others.
+    pub fn others(directory: &Path) -> Vec<Other> {
+        let directory = absolute(directory);
+        let all = Found::all().map(|found| {
+            let of = about(&found.file).map(|(about, _)| about.directory);
+            (Other { path: found.path.clone(), directory: of }, found)
+        });
+        let others = all.filter(|(other, _)| other.directory.as_ref() != Some(&directory));
+        // Taken over for a moment: that of a program that lives is its own.
+        others.filter_map(|(other, found)| found.claim().map(|_| other)).collect()
     }
 
     fn of(memory: Left) -> Option<Orphan> {
-        let Remains { about, records } = Remains::read(&*memory.file).ok()??;
-        let about: About = serde_json::from_slice(&about).ok()?;
-        let last = records.iter().rev().find_map(|record| match record {
+        let (about, mut remains) = about(memory.file())?;
+        let last = remains.newest().find_map(|record| match record {
             Record::Cycle(cycle) => Some((cycle.index, cycle.grid.0.saturating_add_signed(about.utc_ns))),
             _ => None,
         });
         let Some((cycle, ended_ns)) = last else {
-            // Without a cycle there is nothing to tell. That it is gone already is as good.
+            // Without a cycle there is nothing to tell.
             let _ = memory.remove();
             return None;
         };
         let why = format!("process {} was killed, or crashed", about.process);
         let due = Due { why, cycle, from: cycle, failed: true };
-        Some(Orphan { memory, about, records, due, ended: UNIX_EPOCH + Duration::from_nanos(ended_ns) })
+        Some(Orphan { memory, about, due, ended: UNIX_EPOCH + Duration::from_nanos(ended_ns) })
     }
 
     /// Why and when it was left.
@@ -117,13 +144,22 @@ impl Orphan {
 
     /// The file that is to be made of it.
     pub fn path(&self) -> PathBuf {
-        super::place(&self.about.directory, self.ended, &self.due).0
+        self.place().0
+    }
+
+    /// Two programs of the same directory may have ended in the same second.
+    fn place(&self) -> (PathBuf, String) {
+        super::place(&self.about.directory, self.ended, &self.due, Some(self.about.process))
     }
 
     /// Makes that file, and gives the memory back.
     pub fn save(self) -> io::Result<()> {
-        let Orphan { memory, about, records, due, ended } = self;
-        let (path, written) = super::place(&about.directory, ended, &due);
+        let (path, written) = self.place();
+        let Orphan { memory, about, due, .. } = self;
+        let Some((_, mut remains)) = self::about(memory.file()) else { return memory.remove() };
+        let mut records: Vec<Record> = remains.newest().collect();
+        records.reverse();
+        let records = super::written_of(records, remains.is_cut());
         let utc_ns = about.utc_ns;
         let mut machine = due.described(about.into_machine());
         machine.about.insert(WRITTEN.to_owned(), written);
@@ -131,4 +167,10 @@ impl Orphan {
         save(&path, &file.bytes)?;
         memory.remove()
     }
+}
+
+/// What a memory says of its records, and the records.
+fn about(memory: &File) -> Option<(About, Remains<&File>)> {
+    let remains = Remains::of(memory).ok()??;
+    Some((serde_json::from_slice(&remains.about).ok()?, remains))
 }

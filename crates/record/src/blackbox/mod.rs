@@ -51,7 +51,6 @@ const LOOK_EVERY: Duration = Duration::from_millis(2);
 pub struct BlackBox {
     directory: PathBuf,
     newest: Newest,
-    kept: usize,
     /// Cycles that it holds.
     cycles: u64,
     /// Until when the newest file reaches.
@@ -91,8 +90,7 @@ impl Writing {
 impl BlackBox {
     /// A black box of `plan` whose files go to `directory`; `None` if the plan wants none.
     pub fn new(plan: &Plan, directory: &Path) -> Option<BlackBox> {
-        let kept = plan.black_box_records();
-        if kept == 0 {
+        if plan.black_box_records() == 0 {
             return None;
         }
         let (kept_ns, period_ns) = (plan.cycle.black_box_ns, plan.cycle.period_ns.max(1));
@@ -101,8 +99,6 @@ impl BlackBox {
         Some(BlackBox {
             directory: directory.to_owned(),
             newest: Newest::new(machine, Failures::of(plan), aftermath),
-            // Those of native process data are not written, and take none of the time.
-            kept: kept + (kept_ns / period_ns) as usize * plan.native_records_a_cycle(),
             cycles: kept_ns / period_ns,
             written_to: None,
             files: 0,
@@ -115,7 +111,7 @@ impl BlackBox {
 
     fn start(&mut self, due: Due, ring: &RecordReader) {
         let now = SystemTime::now();
-        let (path, written) = place(&self.directory, now, &due);
+        let (path, written) = place(&self.directory, now, &due, None);
         let mut machine = due.described(self.newest.machine.clone());
         machine.about.insert(WRITTEN.to_owned(), written);
         self.files += 1;
@@ -130,7 +126,7 @@ impl BlackBox {
                 written.replaced = self.newest_files.pop_front();
             }
         }
-        let records = written_of(ring.kept(), self.kept);
+        let records = written_of(ring.kept().copied().collect(), ring.is_cut());
         let (path, replaced) = (written.path.clone(), written.replaced.clone());
         let write = move || {
             if let Some(spare) = &replaced {
@@ -158,17 +154,16 @@ impl BlackBox {
 }
 
 /// Where the file of `due` goes that is written at this time, and the time as it stands in it.
-fn place(directory: &Path, now: SystemTime, due: &Due) -> (PathBuf, String) {
+fn place(directory: &Path, now: SystemTime, due: &Due, process: Option<u32>) -> (PathBuf, String) {
     let stamp = humantime::format_rfc3339_seconds(now).to_string();
-    let name = due.file_name(&format!("fieldbeat-{}", stamp.replace([':', '-'], "")));
+    let process = process.map_or(String::new(), |process| format!("-process-{process}"));
+    let name = due.file_name(&format!("fieldbeat-{}{process}", stamp.replace([':', '-'], "")));
     (directory.join(name), stamp)
 }
 
-/// Those of the newest `kept` records that are written. Where they are cut, a whole cycle is the first.
-fn written_of<'a>(records: impl Iterator<Item = &'a Record>, kept: usize) -> Vec<Record> {
-    let mut records: Vec<Record> = records.copied().collect();
-    if records.len() >= kept {
-        let oldest = records[0].index();
+/// Those of a black box that are written. Where they are cut, a whole cycle is the first.
+fn written_of(mut records: Vec<Record>, is_cut: bool) -> Vec<Record> {
+    if let Some(oldest) = records.first().map(Record::index).filter(|_| is_cut) {
         records.drain(..records.iter().take_while(|record| record.index() == oldest).count());
     }
     records.retain(|record| !matches!(record, Record::Native(_)));
@@ -186,10 +181,6 @@ fn utc_ns(now: SystemTime, records: &[Record]) -> i64 {
 }
 
 impl Keep for BlackBox {
-    fn kept(&self) -> usize {
-        self.kept
-    }
-
     fn about(&self) -> Vec<u8> {
         About::new(&self.directory, &self.newest.machine).to_bytes()
     }

@@ -29,7 +29,7 @@ struct Fed {
 impl Fed {
     fn new(plan: &Plan, directory: &Path) -> Fed {
         let black_box = BlackBox::new(plan, directory).unwrap();
-        let kept = Kept { records: black_box.kept(), about: None };
+        let kept = Kept { records: plan.black_box_records(), about: None };
         let (loops, ring, _) = ring::records(1, kept, &mut Regions::new());
         Fed { black_box, loops, ring }
     }

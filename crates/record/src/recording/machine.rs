@@ -1,6 +1,6 @@
 //! What a recording says of its machine besides the messages: as metadata of the file, and as that of its channels.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
 
 use serde::{Deserialize, Serialize};
 
@@ -8,6 +8,7 @@ use fieldbeat_core::axis::{FaultNames, MONITOR_CHANNELS};
 use fieldbeat_core::bus::facts::of_drives;
 use fieldbeat_core::bus::native::NativeLayout;
 use fieldbeat_core::cycle::Plan;
+use fieldbeat_core::cycle::record::{DriveRecord, Record};
 use fieldbeat_core::rt::host;
 
 /// The metadata record about the machine.
@@ -100,6 +101,18 @@ impl Faults {
 }
 
 impl Machine {
+    /// Names the fault of a drive's record in the metadata: it may have come before the first event of a file.
+    pub fn name_fault(&mut self, record: &Record) {
+        let Record::Drive(DriveRecord { axis, fault: code @ 1.., .. }) = *record else { return };
+        let Some(axis) = self.axes.get_mut(usize::from(axis)) else { return };
+        let key = format!("{FAULT}{code:#06x}");
+        if !axis.about.contains_key(&key)
+            && let Some(name) = axis.faults.name(code)
+        {
+            axis.about.insert(key, name);
+        }
+    }
+
     /// The machine of a plan, recorded by a program of this version, with the text of its configuration if that can be
     /// read.
     pub fn of(plan: &Plan, version: &str) -> Machine {
@@ -130,6 +143,15 @@ impl Machine {
         }
         Machine { about, axes, period_ns: cycle.period_ns }
     }
+}
+
+/// What the keys begin with under which the metadata of an axis' channel name a code.
+const FAULT: &str = "fault ";
+
+/// The codes that the metadata of an axis' channel name, and their names.
+pub fn faults_of(about: &HashMap<String, String>) -> impl Iterator<Item = (u32, &String)> {
+    let code = |key: &str| u32::from_str_radix(key.strip_prefix(FAULT)?.strip_prefix("0x")?, 16).ok();
+    about.iter().filter_map(move |(key, name)| Some((code(key)?, name)))
 }
 
 /// What every machine has.

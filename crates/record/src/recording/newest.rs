@@ -110,12 +110,13 @@ impl Due {
 
 /// The file of a machine whose clock is so much earlier than UTC. Records that are `lost` are missing in it.
 pub fn encode<'a>(
-    machine: Machine,
+    mut machine: Machine,
     utc_ns: i64,
-    mut records: impl Iterator<Item = &'a Record>,
+    mut records: impl Iterator<Item = &'a Record> + Clone,
     mut judged: impl Iterator<Item = &'a Judged>,
     lost: u64,
 ) -> io::Result<Encoded> {
+    records.clone().for_each(|record| machine.name_fault(record));
     let mut writer = Writer::new(Vec::new(), machine, utc_ns)?;
     records.try_for_each(|record| writer.enter(record))?;
     judged.try_for_each(|judged| writer.late(judged))?;

@@ -92,7 +92,7 @@ impl<C: Clock> Engine<C> {
 /// Puts records into the ring, `most` at most: they are built there. Returns how many were lost.
 #[inline]
 fn send(ring: &mut RecordWriter, most: usize, mut records: impl Iterator<Item = Record>) -> u64 {
-    ring.fill(0, records.by_ref().take(most));
+    ring.push_some(most, records.by_ref());
     records.count() as u64
 }
 
@@ -177,7 +177,7 @@ mod tests {
 
     #[test]
     fn a_ring_without_room_for_all_takes_what_fits_and_the_rest_is_lost() {
-        let (mut ring, records, _) = ring::records(5, Kept::default(), &mut Regions::new());
+        let (mut ring, mut records, _) = ring::records(5, Kept::default(), &mut Regions::new());
         let of = |from: u64, count: u64| {
             (from..from + count).map(|first| Record::Skipped(SkippedRecord { first, ..Default::default() }))
         };
@@ -187,5 +187,8 @@ mod tests {
         assert_eq!(send(&mut ring, 4, of(4, 4)), 3);
         let taken: Vec<u64> = std::iter::from_fn(|| records.next()).map(Record::index).collect();
         assert_eq!(taken, [0, 1, 2, 3, 4]);
+        // As soon as they are taken there is room for all.
+        records.release();
+        assert_eq!(send(&mut ring, 4, of(9, 4)), 0);
     }
 }

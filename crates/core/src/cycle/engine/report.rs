@@ -59,7 +59,7 @@ impl<C: Clock> Engine<C> {
         let records = self.controllers.iter_mut().enumerate();
         let records =
             records.map(|(axis, controller)| Record::Drive(controller.publish(axis as u16, &mut noted)));
-        if self.shows || !self.channels.records.fill(axes, records) {
+        if self.shows || !self.channels.records.push_all(axes, records) {
             noted = self.publish_each();
         }
         if noted {
