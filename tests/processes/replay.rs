@@ -3,13 +3,15 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
+use std::thread::sleep;
+use std::time::Duration;
 
 use fieldbeat_core::cycle::REVISION;
 use fieldbeat_record::log::records::{Records, Unsound};
 use fieldbeat_record::recording::reading::Wrong;
 use mcap::records::Record;
 
-use super::support::{Ended, LONG, Machine, PROGRAM, run, until};
+use super::support::{Ended, LONG, Machine, PROGRAM, Program, run, until};
 use super::{master, online, recordings, serve};
 
 fn replay(file: &Path, rest: &[&str]) -> Ended {
@@ -129,14 +131,19 @@ fn uncompressed(bytes: &[u8]) -> Vec<u8> {
     out.into_inner().into_inner()
 }
 
-/// The first datagram that was sent in a cycle of the second chunk, whose checksum is taken away.
+/// The first datagram that was sent in a cycle behind the first chunk. The checksum of its chunk is taken away.
 fn sent(file: &mut [u8]) -> Sent {
+    let summary = mcap::Summary::read(file).unwrap().unwrap();
+    let wire = summary.channels.values().find(|channel| channel.topic == "/wire").unwrap().id;
+    let mut chunks = summary.chunk_indexes[1..].iter().map(|chunk| chunk.chunk_start_offset as usize);
+    chunks.find_map(|chunk| sent_in(file, chunk, wire)).expect("a datagram was sent")
+}
+
+/// The same of this chunk.
+fn sent_in(file: &mut [u8], chunk: usize, wire: u16) -> Option<Sent> {
     fn number(bytes: &[u8]) -> u64 {
         bytes.iter().rev().fold(0, |number, byte| number << 8 | u64::from(*byte))
     }
-    let summary = mcap::Summary::read(file).unwrap().unwrap();
-    let wire = summary.channels.values().find(|channel| channel.topic == "/wire").unwrap().id;
-    let chunk = summary.chunk_indexes[1].chunk_start_offset as usize;
     // Behind opcode, length, times and size: the checksum, no name of a compression, and the length of the records.
     file[chunk + 33..][..4].fill(0);
     let (mut record, end) = (chunk + 49, chunk + 49 + number(&file[chunk + 41..][..8]) as usize);
@@ -158,14 +165,14 @@ fn sent(file: &mut [u8]) -> Sent {
                 (2, _) => cycle = Some(word),
                 (9, Some(cycle)) => {
                     let drive = (word >> 48 & 0x3FF) as usize;
-                    return Sent { cycle, drive, at: payload + 8..payload + size };
+                    return Some(Sent { cycle, drive, at: payload + 8..payload + size });
                 }
                 _ => {}
             }
             entry = payload + size.next_multiple_of(8);
         }
     }
-    panic!("no datagram was sent");
+    None
 }
 
 #[test]
@@ -267,6 +274,47 @@ fn what_cannot_be_recorded_is_refused_before_anything_is_sent_and_leaves_no_file
     replay(&file, &[]).refused(&["x.mcap has no wire to repeat", remedy]);
     run(["export", file.to_str().unwrap(), "--pcapng"]).refused(&["x.mcap has no telegrams", remedy]);
     assert!(!machine.path("x.pcapng").exists());
+}
+
+#[test]
+fn the_last_seconds_of_the_wire_are_in_the_black_box_and_exported_as_a_capture() {
+    let machine = Machine::new(29);
+    let boxes = machine.path("boxes");
+    let mut demo = Program::start([
+        "demo".as_ref(),
+        "--for".as_ref(),
+        "60s".as_ref(),
+        "--json".as_ref(),
+        "--period".as_ref(),
+        "2ms".as_ref(),
+        "--black-box-wire".as_ref(),
+        "--black-box".as_ref(),
+        boxes.as_os_str(),
+    ]);
+    demo.await_text("all drives online");
+    // Longer than the black box.
+    sleep(Duration::from_secs(3));
+    demo.signal(libc::SIGUSR1);
+    demo.await_text("black box: ");
+    let summary = demo.end_by(libc::SIGINT).json();
+    let file = summary["black_boxes"][0]["path"].as_str().unwrap().to_owned();
+    let capture = machine.path("x.pcapng");
+    run(["export", &file, "--pcapng", capture.to_str().unwrap()]).expect(0);
+    let printed = run(["decode", capture.to_str().unwrap()]).expect(0).out.clone();
+    let (lines, last) = printed.trim_end().rsplit_once('\n').unwrap();
+    for protocol in ["ethercat", "ethernet-ip", "linudp-v2", "modbus-tcp", "profibus-dp"] {
+        assert!(last.contains(protocol), "{last}");
+    }
+    // Each line begins with its time: two seconds and a piece, up to the file.
+    let seconds = |line: &str| {
+        let time = line.split_whitespace().find(|word| word.contains(':')).unwrap().trim_end_matches('Z');
+        let parts = time.rsplit('T').next().unwrap().split(':').map(|part| part.parse::<f64>().unwrap());
+        parts.fold(0.0, |sum, part| 60.0 * sum + part)
+    };
+    let (begin, end) = (seconds(lines.lines().next().unwrap()), seconds(lines.lines().last().unwrap()));
+    let span = (end - begin).rem_euclid(86_400.0);
+    assert!((1.5..10.0).contains(&span), "{span} s");
+    run(["replay", &file]).refused(&["the wire of the last seconds", "--record FILE --record-wire"]);
 }
 
 #[test]

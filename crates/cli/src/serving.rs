@@ -27,6 +27,9 @@ pub struct Serving {
     /// Where the black box writes its files; without it the state directory of the service, or of the user.
     #[arg(long, value_name = "DIR")]
     black_box: Option<PathBuf>,
+    /// The black box also has what passed the wires: `export --pcapng` makes a capture for Wireshark of its files.
+    #[arg(long)]
+    black_box_wire: bool,
 }
 
 /// All of it can be had.
@@ -35,6 +38,7 @@ pub struct Served {
     endpoint: Option<Endpoint>,
     scope: scope::Served,
     black_box: Option<Place>,
+    black_box_wire: bool,
 }
 
 /// Answer for as long as they are held.
@@ -59,6 +63,7 @@ impl Serving {
             endpoint,
             scope: self.scope.prepare()?,
             black_box: self.black_box.map(black_box).transpose()?,
+            black_box_wire: self.black_box_wire,
         })
     }
 }
@@ -66,9 +71,13 @@ impl Serving {
 impl Served {
     /// The machine of `plan`, with its black box.
     pub fn setup(&self, plan: Plan) -> Setup {
-        match &self.black_box {
-            Some(place) => Master::from_plan(plan).with_black_box(place.directory()),
-            None => with_usual_black_box(plan),
+        let directory = match &self.black_box {
+            Some(place) => place.directory().to_owned(),
+            None => usual_directory(&plan),
+        };
+        match self.black_box_wire {
+            true => Master::from_plan(plan).with_black_box_and_wire(directory),
+            false => Master::from_plan(plan).with_black_box(directory),
         }
     }
 
@@ -101,9 +110,15 @@ fn black_box(directory: PathBuf) -> Result<Place, Stop> {
     })
 }
 
-/// The machine of `plan`, with a black box in the usual directory. Nobody named that: it is no reason not to start, but
-/// it is known at once.
+/// The machine of `plan`, with a black box in the usual directory.
 pub fn with_usual_black_box(plan: Plan) -> Setup {
+    let directory = usual_directory(&plan);
+    Master::from_plan(plan).with_black_box(directory)
+}
+
+/// The usual directory of the black box of `plan`. Nobody named that: it is no reason not to start, but it is known at
+/// once.
+fn usual_directory(plan: &Plan) -> PathBuf {
     let directory = default_directory();
     if plan.black_box_records() > 0
         && let Err(why) = Place::prepare(&directory)
@@ -111,7 +126,7 @@ pub fn with_usual_black_box(plan: Plan) -> Setup {
         let why = cannot_write(&directory, &why);
         complain(&format!("{why}; what leads to a failure is lost without it"));
     }
-    Master::from_plan(plan).with_black_box(directory)
+    directory
 }
 
 fn cannot_write(directory: &Path, why: &io::Error) -> String {

@@ -2,11 +2,13 @@
 
 use std::path::{Path, PathBuf};
 
+use crossbeam_channel::Receiver;
+
 use fieldbeat_config::{ConfigErrors, Configuration, Loaded, load_machine};
 use fieldbeat_record::Summary;
 use fieldbeat_record::blackbox::BlackBox;
 use fieldbeat_record::recording::Recorder;
-use fieldbeat_telemetry::log::MachineOf;
+use fieldbeat_telemetry::log::{LogBegin, MachineOf};
 use fieldbeat_telemetry::thread::Keep;
 
 use crate::simulation::{Simulation, granted};
@@ -36,18 +38,35 @@ impl Setup {
         self
     }
 
+    /// The same, and its files have what has passed the wires meanwhile: `fieldbeat export --pcapng` makes a capture of
+    /// one. The loop logs all that it takes from outside and sends for it. A [recorder](Self::with_recorder) with the
+    /// wire that comes after this has the log in its place.
+    pub fn with_black_box_and_wire(mut self, directory: impl Into<PathBuf>) -> Setup {
+        let Some(black_box) = BlackBox::new(&self.plan, &directory.into()) else { return self };
+        let (setup, log) = self.logged();
+        self = setup;
+        self.black_box = Some(Box::new(black_box.with_wire(log)));
+        self
+    }
+
+    /// It has a log, which comes from the other end once it is built.
+    fn logged(self) -> (Setup, Receiver<LogBegin>) {
+        let (sender, log) = crossbeam_channel::bounded(1);
+        let setup = self.with_log(move |begin| {
+            let _ = sender.send(begin);
+        });
+        (setup, log)
+    }
+
     /// Records the machine, from its first cycle on.
     pub fn with_recorder(mut self, recorder: Recorder) -> Setup {
         let path = recorder.path().to_owned();
         self.plan.cycle.record_native = recorder.native().to_vec();
         let mut log = None;
         if recorder.has_wire() {
-            let (sender, receiver) = crossbeam_channel::bounded(1);
             // The machine is built, and has its log, before the recording begins.
-            self = self.with_log(move |begin| {
-                let _ = sender.send(begin);
-            });
-            log = Some(receiver);
+            let (setup, of_machine) = self.logged();
+            (self, log) = (setup, Some(of_machine));
         }
         self.sink = Some((path, recorder.sink(&self.plan, log)));
         self

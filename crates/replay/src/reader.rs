@@ -37,6 +37,15 @@ pub enum ReplayError {
         /// Why not.
         why: String,
     },
+    /// The file has the end of the log only.
+    #[error(
+        "{path} has the wire of the last seconds of a run, and a replay begins at its start: record the run with \
+         --record FILE --record-wire; `fieldbeat export --pcapng` shows what is there"
+    )]
+    Window {
+        /// The file.
+        path: String,
+    },
     /// A program with another loop has written it.
     #[error(
         "{path} was recorded by version {version}, whose loop has revision {revision} (layout {layout}): \
@@ -218,6 +227,9 @@ impl Recorded {
 
     /// The machine that repeats it.
     pub fn replay(mut self) -> Result<Replay, ReplayError> {
+        if !self.begin.is_whole {
+            return Err(ReplayError::Window { path: self.path });
+        }
         let plan = self.plan()?;
         let Recorded { log, begin, task, end, .. } = self;
         let other_plan = begin.plan.and_then(|recorded| other(&recorded, &plan.resolved()));

@@ -340,7 +340,7 @@ mod tests {
         let monitor = [channel("demand-current", "A"), None, channel("0x1E10", ""), None];
         let axes = vec![axis("x"), AxisAbout { monitor, ..axis("y") }];
         let machine = Machine { about, axes, period_ns: 1_000_000 };
-        encode(machine, 0, records.iter(), std::iter::empty(), 0).unwrap().bytes
+        encode(machine, 0, records.iter(), std::iter::empty(), None, 0).unwrap().bytes
     }
 
     fn records() -> Vec<Record> {

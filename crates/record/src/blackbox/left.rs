@@ -163,7 +163,7 @@ impl Orphan {
         let utc_ns = about.utc_ns;
         let mut machine = due.described(about.into_machine());
         machine.about.insert(WRITTEN.to_owned(), written);
-        let file = encode(machine, utc_ns, records.iter(), std::iter::empty(), 0)?;
+        let file = encode(machine, utc_ns, records.iter(), std::iter::empty(), None, 0)?;
         save(&path, &file.bytes)?;
         memory.remove()
     }

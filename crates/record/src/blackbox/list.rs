@@ -117,7 +117,7 @@ mod tests {
     fn file(more: &[(&str, &str)]) -> Vec<u8> {
         let mut machine = Machine { about: of_cycle("9", 1, 1, 1), ..Machine::default() };
         machine.about.extend(more.iter().map(|(key, value)| ((*key).to_owned(), (*value).to_owned())));
-        encode(machine, 0, std::iter::empty(), std::iter::empty(), 0).unwrap().bytes
+        encode(machine, 0, std::iter::empty(), std::iter::empty(), None, 0).unwrap().bytes
     }
 
     #[test]

@@ -21,17 +21,21 @@ use std::path::{Path, PathBuf};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
+use crossbeam_channel::Receiver;
+
 pub use self::file::header;
 use self::left::{About, Orphan};
 use crate::failures::Failures;
 use crate::file::save;
 use crate::recording::machine::{Machine, WRITTEN};
 use crate::recording::newest::{AFTERMATH_NS, Due, Newest, encode};
+use crate::recording::recent::RecentWire;
 use fieldbeat_core::cycle::Plan;
 use fieldbeat_core::cycle::record::Record;
 use fieldbeat_core::cycle::ring::RecordReader;
 use fieldbeat_core::rt::host;
 use fieldbeat_core::time::nanos;
+use fieldbeat_telemetry::log::LogBegin;
 use fieldbeat_telemetry::thread::Keep;
 pub use fieldbeat_telemetry::thread::Written;
 
@@ -51,6 +55,8 @@ const LOOK_EVERY: Duration = Duration::from_millis(2);
 pub struct BlackBox {
     directory: PathBuf,
     newest: Newest,
+    /// What passed the wires, if that is wanted.
+    wire: Option<RecentWire>,
     /// Cycles that it holds.
     cycles: u64,
     /// Until when the newest file reaches.
@@ -99,6 +105,7 @@ impl BlackBox {
         Some(BlackBox {
             directory: directory.to_owned(),
             newest: Newest::new(machine, Failures::of(plan), aftermath),
+            wire: None,
             cycles: kept_ns / period_ns,
             written_to: None,
             files: 0,
@@ -107,6 +114,12 @@ impl BlackBox {
             writing: Vec::new(),
             patience: PATIENCE,
         })
+    }
+
+    /// Its files also have what has passed the wires, as far as it is in the log that comes from there.
+    pub fn with_wire(self, log: Receiver<LogBegin>) -> BlackBox {
+        let kept_ns = self.cycles * self.newest.machine.period_ns;
+        BlackBox { wire: Some(RecentWire::new(log, kept_ns)), ..self }
     }
 
     fn start(&mut self, due: Due, ring: &RecordReader) {
@@ -126,6 +139,10 @@ impl BlackBox {
                 written.replaced = self.newest_files.pop_front();
             }
         }
+        let wire = self.wire.as_mut().and_then(|wire| {
+            wire.take();
+            wire.end()
+        });
         let records = written_of(ring.kept().copied().collect(), ring.is_cut());
         let (path, replaced) = (written.path.clone(), written.replaced.clone());
         let write = move || {
@@ -133,7 +150,8 @@ impl BlackBox {
                 // Gone already is as good.
                 let _ = std::fs::remove_file(spare);
             }
-            let encoded = encode(machine, utc_ns(now, &records), records.iter(), std::iter::empty(), 0);
+            let encoded =
+                encode(machine, utc_ns(now, &records), records.iter(), std::iter::empty(), wire.as_ref(), 0);
             encoded.and_then(|file| save(&path, &file.bytes)).err().map(|error| error.to_string())
         };
         // Without a thread there is no file; the next failure tries again.
@@ -213,6 +231,7 @@ impl Keep for BlackBox {
     }
 
     fn write(&mut self, last: bool, ring: &RecordReader) -> Vec<Written> {
+        self.wire.iter_mut().for_each(RecentWire::take);
         if last && let Some(due) = self.newest.take_due(true) {
             self.start(due, ring);
         }

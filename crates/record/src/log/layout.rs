@@ -37,13 +37,18 @@ pub struct Begin {
     pub machine: MachineOf,
     /// There is an in-loop task.
     pub has_task: bool,
+    /// It begins with the run. The end of one cannot be repeated.
+    pub is_whole: bool,
 }
+
+/// The key that says that a log does not begin with the run.
+const WINDOW: &str = "window";
 
 impl Begin {
     /// That of a log, by a program of this version.
     pub fn new(version: &str, machine: MachineOf, plan: String, has_task: bool) -> Begin {
         let (layout, version) = (LAYOUT.to_owned(), version.to_owned());
-        Begin { layout, version, revision: REVISION, plan: Some(plan), machine, has_task }
+        Begin { layout, version, revision: REVISION, plan: Some(plan), machine, has_task, is_whole: true }
     }
 
     /// As metadata.
@@ -57,6 +62,9 @@ impl Begin {
             put("plan", plan.clone());
         }
         put("task", self.has_task.to_string());
+        if !self.is_whole {
+            put(WINDOW, true.to_string());
+        }
         match &self.machine {
             MachineOf::Code => put("machine", "code".into()),
             MachineOf::Configuration { file, text } => {
@@ -96,6 +104,7 @@ impl Begin {
             plan: text("plan"),
             machine,
             has_task: map.get("task")? == "true",
+            is_whole: !map.contains_key(WINDOW),
         })
     }
 }

@@ -14,6 +14,7 @@
 //! | `writer` | records as messages |
 //! | `container`, `lz4` | the file, and its compression |
 //! | `wire` | the log of the loop in it, for a replay |
+//! | `recent` | the end of that log, for a capture of a black box |
 //! | `reading` | a file, whichever version wrote it |
 //! | `csv` | the same for spreadsheets |
 //!
@@ -28,6 +29,7 @@ mod messages;
 mod native;
 pub(crate) mod newest;
 pub mod reading;
+pub mod recent;
 mod recorder;
 mod schema;
 mod whole;

@@ -3,6 +3,7 @@
 use std::io;
 
 use super::machine::{CYCLE, Machine, WHY};
+use super::recent::WireEnd;
 use super::writer::Writer;
 use crate::failures::Failures;
 use fieldbeat_core::cycle::record::Record;
@@ -108,16 +109,19 @@ impl Due {
     }
 }
 
-/// The file of a machine whose clock is so much earlier than UTC. Records that are `lost` are missing in it.
+/// The file of a machine whose clock is so much earlier than UTC, with what passed its wires, if that is known. Records
+/// that are `lost` are missing in it.
 pub fn encode<'a>(
     mut machine: Machine,
     utc_ns: i64,
     mut records: impl Iterator<Item = &'a Record> + Clone,
     mut judged: impl Iterator<Item = &'a Judged>,
+    wire: Option<&WireEnd>,
     lost: u64,
 ) -> io::Result<Encoded> {
     records.clone().for_each(|record| machine.name_fault(record));
     let mut writer = Writer::new(Vec::new(), machine, utc_ns)?;
+    wire.map_or(Ok(()), |wire| writer.put_wire(wire))?;
     records.try_for_each(|record| writer.enter(record))?;
     judged.try_for_each(|judged| writer.late(judged))?;
     let (messages, lost) = (writer.written().messages, lost + writer.dropped());

@@ -60,7 +60,7 @@ impl Window {
         let mut recorded = Recorded::begin(path, due.why.clone());
         recorded.lost = self.gaps.iter().map(|(_, lost)| lost).sum();
         let (machine, records) = (due.described(self.newest.machine.clone()), self.records.iter());
-        let encoded = encode(machine, self.utc_ns, records, self.judged.iter(), recorded.lost);
+        let encoded = encode(machine, self.utc_ns, records, self.judged.iter(), None, recorded.lost);
         let written = encoded.and_then(|Encoded { bytes, messages, lost }| {
             (recorded.messages, recorded.lost) = (messages, lost);
             save(&recorded.path, &bytes)?;

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::io::{self, Write};
 
 use super::container::Container;
+use super::recent::WireEnd;
 use super::schema::{Get, Table};
 use super::writer::Topic;
 use crate::log::layout::{BEGIN, Begin, CUT_AT, END, TOPIC};
@@ -27,9 +28,18 @@ impl Wire {
     pub fn begin<W: Write>(out: &mut Container<W>, log: LogBegin, version: &str) -> io::Result<Wire> {
         let LogBegin { reader, machine, plan, has_task } = log;
         out.metadata(BEGIN, &Begin::new(version, machine, plan, has_task).to_map())?;
-        let table = Table::new("Wire", vec![("words".into(), Get::Bytes(|bytes: &Vec<u8>| bytes))]);
-        let topic = Topic::add(out, TOPIC, &BTreeMap::new(), table)?;
-        Ok(Wire { reader, topic, words: Vec::new(), bytes: Vec::new() })
+        Ok(Wire { reader, topic: topic(out)?, words: Vec::new(), bytes: Vec::new() })
+    }
+
+    /// Writes the end of a log whole, at one instant of UTC, in a file that has no message yet.
+    pub fn put<W: Write>(out: &mut Container<W>, of: &WireEnd, utc_ns: u64) -> io::Result<()> {
+        out.metadata(BEGIN, &of.begin)?;
+        let mut topic = topic(out)?;
+        for words in of.words.chunks(ENOUGH) {
+            let bytes: Vec<u8> = words.iter().copied().flat_map(u64::to_le_bytes).collect();
+            topic.send(out, utc_ns, &bytes)?;
+        }
+        out.metadata(END, &cut(of.cut_at))
     }
 
     /// Takes what the loop has logged since then.
@@ -56,7 +66,17 @@ impl Wire {
 
     /// Writes what stands behind it.
     pub fn end<W: Write>(&self, out: &mut Container<W>) -> io::Result<()> {
-        let cut_at = self.cut_at().map(|cycle| (CUT_AT.to_owned(), cycle.to_string()));
-        out.metadata(END, &cut_at.into_iter().collect())
+        out.metadata(END, &cut(self.cut_at()))
     }
+}
+
+/// The topic of a log.
+fn topic<W: Write>(out: &mut Container<W>) -> io::Result<Topic<Vec<u8>>> {
+    let table = Table::new("Wire", vec![("words".into(), Get::Bytes(|bytes: &Vec<u8>| bytes))]);
+    Topic::add(out, TOPIC, &BTreeMap::new(), table)
+}
+
+/// The metadata behind a log that ends before this cycle.
+fn cut(at: Option<u64>) -> BTreeMap<String, String> {
+    at.map(|cycle| (CUT_AT.to_owned(), cycle.to_string())).into_iter().collect()
 }

@@ -8,6 +8,7 @@ use super::container::Container;
 use super::machine::{END, MACHINE, Machine, PROGRAM};
 use super::messages::{self, At, AxisRecord, CommandText, EventText, LateText, NativeValues};
 use super::native::Parts;
+use super::recent::WireEnd;
 use super::schema::{Begun, Table};
 use super::wire::Wire;
 use crate::summary::named;
@@ -96,7 +97,7 @@ impl<T> Topic<T> {
     }
 
     /// Writes its next message, of an instant of UTC.
-    fn send<W: Write>(&mut self, out: &mut Container<W>, utc_ns: u64, of: &T) -> io::Result<()> {
+    pub fn send<W: Write>(&mut self, out: &mut Container<W>, utc_ns: u64, of: &T) -> io::Result<()> {
         self.send_behind(&Begun::default(), out, utc_ns, of)
     }
 
@@ -170,6 +171,11 @@ impl<W: Write> Writer<W> {
             written: Written::default(),
             flushed: Written::default(),
         })
+    }
+
+    /// Writes the end of a log, before all messages.
+    pub fn put_wire(&mut self, of: &WireEnd) -> io::Result<()> {
+        Wire::put(&mut self.out, of, of.from.0.saturating_add_signed(self.utc_ns))
     }
 
     /// How much was written.

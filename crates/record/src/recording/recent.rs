@@ -1,0 +1,145 @@
+//! What passed the wires in the last seconds of a run, for the file of a black box: the end of the log of the loop. It
+//! does not begin with the run, so that it cannot be repeated; a capture can be made of it.
+
+use std::collections::{BTreeMap, VecDeque};
+
+use crossbeam_channel::Receiver;
+
+use crate::log::layout::Begin;
+use fieldbeat_core::inputs::entry::{Head, Kind};
+use fieldbeat_core::inputs::recording::LogReader;
+use fieldbeat_core::time::Time;
+use fieldbeat_telemetry::log::LogBegin;
+
+/// The newest entries of a log.
+#[derive(Debug)]
+pub struct RecentWire {
+    from: Receiver<LogBegin>,
+    /// Once the machine is built.
+    log: Option<(LogReader, Begin)>,
+    pieces: VecDeque<Piece>,
+    /// The time of the newest entry.
+    newest: Time,
+    /// So much of it is kept.
+    span_ns: u64,
+}
+
+/// Some whole cycles of it.
+#[derive(Debug)]
+struct Piece {
+    /// The time from which the first entry counts.
+    from: Time,
+    words: Vec<u64>,
+}
+
+/// As much of it as is kept, for a file.
+#[derive(Debug)]
+pub struct WireEnd {
+    /// The metadata before it.
+    pub begin: BTreeMap<String, String>,
+    /// When it begins, by the clock of the loop.
+    pub from: Time,
+    /// Its words.
+    pub words: Vec<u64>,
+    /// The first cycle that it has not, since there was no room for it between the loop and this.
+    pub cut_at: Option<u64>,
+}
+
+impl RecentWire {
+    /// The newest `span_ns` of the log that comes from there.
+    pub fn new(from: Receiver<LogBegin>, span_ns: u64) -> RecentWire {
+        RecentWire { from, log: None, pieces: VecDeque::new(), newest: Time(0), span_ns }
+    }
+
+    /// Takes what the loop has logged since then.
+    pub fn take(&mut self) {
+        if self.log.is_none() {
+            self.log = self.from.try_recv().ok().map(|LogBegin { reader, machine, plan, has_task }| {
+                let begin = Begin::new(env!("CARGO_PKG_VERSION"), machine, plan, has_task);
+                (reader, Begin { is_whole: false, ..begin })
+            });
+        }
+        let Some((reader, _)) = &mut self.log else { return };
+        let mut words = Vec::new();
+        reader.take(&mut words);
+        if words.is_empty() {
+            return;
+        }
+        let from = self.newest;
+        self.newest = end_of(from, &words);
+        self.pieces.push_back(Piece { from, words });
+        // The oldest one goes once the others are enough.
+        while self.pieces.get(1).is_some_and(|next| self.newest.since(next.from) >= self.span_ns) {
+            self.pieces.pop_front();
+        }
+    }
+
+    /// As much of it as is kept; `None`: there is none.
+    pub fn end(&self) -> Option<WireEnd> {
+        let ((reader, begin), first) = (self.log.as_ref()?, self.pieces.front()?);
+        // Differences of times count from the entry before, which is no longer there.
+        let base = Head { kind: Kind::Base, looks: 0, bytes: size_of::<u64>(), after_ns: 0 };
+        let mut words = vec![base.word(), first.from.0];
+        words.extend(self.pieces.iter().flat_map(|piece| &piece.words));
+        Some(WireEnd { begin: begin.to_map(), from: first.from, words, cut_at: reader.ended_at() })
+    }
+}
+
+/// The time of the last of these entries, which count from `time`.
+fn end_of(mut time: Time, mut words: &[u64]) -> Time {
+    while let Some((head, rest)) = words.split_first()
+        && let Some(head) = Head::of(*head)
+    {
+        time = match (head.kind, rest.first()) {
+            (Kind::Base, Some(base)) => Time(*base),
+            _ => Time(time.0.wrapping_add_signed(head.after_ns.into())),
+        };
+        words = rest.get(head.words()..).unwrap_or_default();
+    }
+    time
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use fieldbeat_core::inputs::recording::log;
+    use fieldbeat_core::inputs::replaying::Entries;
+    use fieldbeat_core::rt::Regions;
+    use fieldbeat_core::time::{MS, S};
+    use fieldbeat_telemetry::log::MachineOf;
+
+    #[test]
+    fn its_last_seconds_have_the_times_that_they_had() {
+        let (recording, reader) = log(1 << 16, &mut Regions::new());
+        let (sender, from) = crossbeam_channel::bounded(1);
+        let mut recent = RecentWire::new(from, S);
+        recent.take();
+        assert!(recent.end().is_none());
+        let begin = LogBegin { reader, machine: MachineOf::Code, plan: String::new(), has_task: false };
+        sender.send(begin).unwrap();
+        for cycle in 0..5_000 {
+            // Far from the zero of the clock, with a gap that no difference bridges.
+            let at = Time(1_000_000 * S + cycle * MS + if cycle > 4_500 { 10 * S } else { 0 });
+            recording.cycle(cycle);
+            recording.entry_at(Kind::DatagramIn, at, &[cycle], &[1, 2, 3]);
+            recording.publish();
+            if cycle % 20 == 7 || cycle == 4_999 {
+                recent.take();
+            }
+        }
+        let end = recent.end().unwrap();
+        assert_eq!((end.begin["window"].as_str(), end.cut_at), ("true", None));
+        let mut words = Some(end.words);
+        let entries = Entries::new(Box::new(move || words.take()));
+        let entries: Vec<_> = entries.map(|entry| entry.unwrap().1).collect();
+        let datagrams: Vec<_> = entries.iter().filter(|entry| entry.kind == Kind::DatagramIn).collect();
+        assert_eq!(entries[0].kind, Kind::Cycle);
+        for datagram in &datagrams {
+            let cycle = datagram.word(0);
+            let gap = if cycle > 4_500 { 10 * S } else { 0 };
+            assert_eq!(datagram.at, Time(1_000_000 * S + cycle * MS + gap));
+        }
+        let count = datagrams.len();
+        assert!((480..560).contains(&count) && datagrams[count - 1].word(0) == 4_999, "{count}");
+    }
+}
