@@ -32,7 +32,7 @@ use fieldbeat_core::cycle::ring::Kept;
 use fieldbeat_core::cycle::status::Gauges;
 use fieldbeat_core::cycle::task::Task;
 use fieldbeat_core::inputs::{InputLog, recording};
-use fieldbeat_core::logged::{LoggedCarriers, LoggedClock};
+use fieldbeat_core::logged::{LinkTap, LoggedCarriers, LoggedClock};
 use fieldbeat_core::net::{Carriers, Handshake, HandshakeState, Os, StreamPeer, Streams};
 use fieldbeat_core::rt::{Clock, MonotonicClock, PollSet, Regions};
 use fieldbeat_ethercat::object::Objects;
@@ -187,7 +187,7 @@ fn recorded(mut plan: Plan, task: Task) -> (Confined<LoggedClock<MonotonicClock>
     let log = InputLog::recording(recording);
     let os = Os::default();
     let clock = LoggedClock::new(MonotonicClock, &log);
-    let started = Confined::start(&plan, clock, &LoggedCarriers::new(&os, &log), task);
+    let started = Confined::start(&plan, clock, &LoggedCarriers::new(&os, &log, LinkTap::default()), task);
     std::thread::spawn(move || {
         let mut words = Vec::new();
         while reader.take(&mut words) {

@@ -17,7 +17,7 @@ use fieldbeat_core::cycle::record::{Record, Reply};
 use fieldbeat_core::cycle::ring::Kept;
 use fieldbeat_core::inputs::recording::LogReader;
 use fieldbeat_core::inputs::{InputLog, recording};
-use fieldbeat_core::logged::{LoggedCarriers, LoggedClock};
+use fieldbeat_core::logged::{LinkTap, LoggedCarriers, LoggedClock};
 use fieldbeat_core::net::Carriers;
 use fieldbeat_core::rt;
 use fieldbeat_core::rt::{Clock, MonotonicClock, PollSet, RealtimePlan, Regions};
@@ -468,7 +468,7 @@ impl Rig<LoggedClock<Meter>> {
     ) -> Rig<LoggedClock<Meter>> {
         let (recording, reader) = recording::log(LOG_WORDS, &mut Regions::default());
         let log = InputLog::recording(recording);
-        let carriers = LoggedCarriers::new(carriers, &log);
+        let carriers = LoggedCarriers::new(carriers, &log, LinkTap::default());
         let clock = LoggedClock::new(Meter::new(pace, &calls), &log);
         Rig { log: Some(reader), ..Rig::over(cycle, buses, clock, &carriers, calls) }
     }

@@ -4,7 +4,7 @@
 //! |---|---|
 //! | Ethernet frames | as they were |
 //! | datagrams | with headers that are made of the addresses of the configuration |
-//! | bytes of connections | the same; each piece is a segment, numbered from 1 on in both directions |
+//! | bytes of connections, handshakes and sessions of the link thread among them | the same; each piece is a segment, numbered from 1 on in both directions |
 //! | a serial wire | a telegram; what is none, too |
 //!
 //! What did not leave is not in it. The packets of a cycle are in the order of their times: a datagram may have come
@@ -13,14 +13,17 @@
 
 use std::collections::HashMap;
 use std::io::{self, Write};
+use std::iter::Peekable;
 use std::net::{Ipv4Addr, SocketAddrV4};
 
 use fieldbeat_config::PROTOCOLS;
 use fieldbeat_core::cycle::Plan;
 use fieldbeat_core::inputs::entry::{Kind, peer_of, place_of};
 use fieldbeat_core::inputs::replaying::{Broken, Entry};
+use fieldbeat_core::logged::{LinkEvent, LinkPassed};
 use fieldbeat_core::time::Time;
 use fieldbeat_keys::telegram::{Carrier, Front, Telegrams};
+use fieldbeat_record::log::layout::LINK_TOPIC;
 use fieldbeat_record::recording::reading::Reading;
 
 use super::headers::{MOST_BYTES, datagram, segment};
@@ -32,7 +35,7 @@ const FIRST_PORT: u16 = 49_152;
 
 const SYNTHETIC: &str = "Headers of Ethernet, IPv4, UDP and TCP are synthetic, made of the addresses of the \
      configuration, with 0.0.0.0 where it has none and ports from 49152 on where the kernel chose them: the recording \
-     has what they carry. Connections begin where the loop took them over.";
+     has what they carry.";
 const AS_IT_WAS: &str = "Frames as they were.";
 const SERIAL: &str =
     "Telegrams of the serial wire, one in each packet, by the link type of private use 147 (USER0).";
@@ -45,10 +48,33 @@ pub fn utc_ns(recording: Reading) -> i64 {
     found.map_or(0, |(utc_ns, monotonic_ns)| utc_ns.wrapping_sub(monotonic_ns).cast_signed())
 }
 
+/// What the link thread had on connections in a recording, in the order of its times.
+pub fn link_of(recording: Reading) -> impl Iterator<Item = LinkPassed> {
+    let messages = recording.map_while(Result::ok).filter(|message| message.topic.name == LINK_TOPIC);
+    messages.filter_map(|message| {
+        let number = |field| message.number(field);
+        let ip = Ipv4Addr::from_bits(number("address").try_into().ok()?);
+        Some(LinkPassed {
+            at: Time(number("monotonic_ns")),
+            bus: number("bus").try_into().ok()?,
+            index: number("connection").try_into().ok()?,
+            peer: SocketAddrV4::new(ip, number("port").try_into().ok()?),
+            event: *LinkEvent::ALL.get(usize::try_from(number("event")).ok()?)?,
+            bytes: message.bytes("bytes"),
+        })
+    })
+}
+
+/// What comes from [`link_of`].
+pub type Link = Peekable<Box<dyn Iterator<Item = LinkPassed>>>;
+
 /// Makes packets of what is logged.
-#[derive(Debug)]
 pub struct Export<W> {
     out: Writer<W>,
+    /// What the link thread had on connections, as far as no packets were made of it.
+    link: Link,
+    /// There is some: it says when a connection begins.
+    has_link: bool,
     utc_ns: i64,
     buses: Vec<Bus>,
     /// Of this cycle.
@@ -105,8 +131,22 @@ enum What {
     Datagram(SocketAddrV4),
     /// Of this connection, or of the serial wire.
     Bytes(usize),
+    /// Of this connection to there, while the link thread has it.
+    LinkBytes(usize, SocketAddrV4),
     /// This connection has ended, or is another one from here on.
     NewConnection(usize),
+}
+
+impl From<LinkPassed> for Passed {
+    fn from(LinkPassed { at, bus, index, peer, event, bytes }: LinkPassed) -> Passed {
+        let (bus, index) = (bus.into(), index.into());
+        let (what, direction) = match event {
+            LinkEvent::Opened | LinkEvent::Closed => (What::NewConnection(index), Direction::Outbound),
+            LinkEvent::Sent => (What::LinkBytes(index, peer), Direction::Outbound),
+            LinkEvent::Received => (What::LinkBytes(index, peer), Direction::Inbound),
+        };
+        Passed { at, bus, what, direction, bytes }
+    }
 }
 
 const NEW: Stream = Stream { port: None, next: [1, 1] };
@@ -116,9 +156,23 @@ fn telegrams(protocol: &str) -> &'static [Telegrams] {
     PROTOCOLS.iter().find(|known| known.name == protocol).map_or(&[], |known| known.telegrams)
 }
 
+impl<W> std::fmt::Debug for Export<W> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Export").field("buses", &self.buses).finish_non_exhaustive()
+    }
+}
+
 impl<W: Write> Export<W> {
-    /// Begins the capture of a machine, by this program, with so many ns from the clock of its loop to UTC.
-    pub fn new(out: W, program: &str, plan: &Plan, utc_ns: i64) -> io::Result<Export<W>> {
+    /// Begins the capture of a machine, by this program, with so many ns from the clock of its loop to UTC, and with
+    /// what the link thread had on connections.
+    pub fn new(
+        out: W,
+        program: &str,
+        plan: &Plan,
+        utc_ns: i64,
+        link: impl Iterator<Item = LinkPassed> + 'static,
+    ) -> io::Result<Export<W>> {
+        let mut link: Link = (Box::new(link) as Box<dyn Iterator<Item = LinkPassed>>).peekable();
         let mut out = Writer::new(out, program, SYNTHETIC)?;
         let mut buses = Vec::new();
         for (bus, facts) in plan.buses.iter().zip(plan.facts()) {
@@ -143,6 +197,8 @@ impl<W: Write> Export<W> {
         }
         Ok(Export {
             out,
+            has_link: link.peek().is_some(),
+            link,
             utc_ns,
             buses,
             cycle: Vec::new(),
@@ -187,7 +243,7 @@ impl<W: Write> Export<W> {
     /// Distinguishes the two meanings of a value that names a connection: it was ready, and the next look of all takes
     /// its bytes; or it was opened. Each bus has one source for both.
     fn learn(&mut self, looks: u64, entry: &Entry) {
-        let Some((source, value)) = self.value.take() else { return };
+        let Some((source, value)) = self.value.take().filter(|_| !self.has_link) else { return };
         let (bus, index) = place_of(entry.word(0));
         let is_taken = looks == 0 && matches!(entry.kind, Kind::BytesIn | Kind::Broken);
         if is_taken && index as u64 == value && self.buses.get(bus).is_some_and(|bus| !bus.drives.is_empty())
@@ -199,9 +255,13 @@ impl<W: Write> Export<W> {
         }
     }
 
-    /// Writes the packets of a cycle.
+    /// Writes the packets of a cycle, and those of the link thread up to its last one.
     fn flush(&mut self) -> io::Result<()> {
         let mut cycle = std::mem::take(&mut self.cycle);
+        let last = cycle.iter().map(|passed| passed.at).max();
+        while let Some(passed) = self.link.next_if(|passed| Some(passed.at) <= last) {
+            cycle.push(passed.into());
+        }
         cycle.sort_by_key(|passed| passed.at);
         cycle.iter().try_for_each(|passed| self.write(passed))?;
         cycle.clear();
@@ -224,11 +284,15 @@ impl<W: Write> Export<W> {
                 };
                 put(&packet, utc_ns, direction)
             }
-            What::Bytes(index) => match (bus.front, bus.drives.get(index), bus.streams.get_mut(index)) {
-                (Some(front), ..) => bus.serial(front, passed, |bytes, at: Time, direction| {
+            What::Bytes(index) | What::LinkBytes(index, _) => match (bus.front, bus.streams.get_mut(index)) {
+                (Some(front), _) => bus.serial(front, passed, |bytes, at: Time, direction| {
                     put(bytes, at.0.wrapping_add_signed(self.utc_ns), direction)
                 }),
-                (None, Some(drive), Some(stream)) => {
+                (None, Some(stream)) => {
+                    let drive = match what {
+                        What::LinkBytes(_, peer) => peer,
+                        _ => bus.drives[index],
+                    };
                     let port = stream.port.unwrap_or(self.port);
                     if stream.port.replace(port).is_none() {
                         self.port = port.checked_add(1).unwrap_or(FIRST_PORT);
@@ -237,8 +301,8 @@ impl<W: Write> Export<W> {
                     for piece in bytes.chunks(MOST_BYTES) {
                         let [out, inward] = &mut stream.next;
                         let packet = match direction {
-                            Direction::Outbound => segment(local, *drive, [*out, *inward], piece),
-                            Direction::Inbound => segment(*drive, local, [*inward, *out], piece),
+                            Direction::Outbound => segment(local, drive, [*out, *inward], piece),
+                            Direction::Inbound => segment(drive, local, [*inward, *out], piece),
                         };
                         let next = if direction == Direction::Outbound { out } else { inward };
                         *next = next.wrapping_add(piece.len() as u32);
@@ -259,6 +323,8 @@ impl<W: Write> Export<W> {
 
     /// Writes what is left, and what says how much it is: the number of packets.
     pub fn finish(mut self) -> io::Result<(u64, W)> {
+        self.flush()?;
+        self.cycle = self.link.by_ref().map(Passed::from).collect();
         self.flush()?;
         for (place, bus) in self.buses.iter_mut().enumerate() {
             for (half, direction) in

@@ -5,7 +5,7 @@ use std::io::{self, BufWriter};
 use std::path::{Path, PathBuf};
 
 use clap::{ArgGroup, Args};
-use fieldbeat_capture::export::{Export as Exported, utc_ns};
+use fieldbeat_capture::export::{Export as Exported, link_of, utc_ns};
 use fieldbeat_record::recording::csv::{PerTopic, Wide};
 use fieldbeat_record::recording::reading::{Entry, Reading, Wrong};
 use fieldbeat_replay::{LogEnd, Recorded, ReplayError};
@@ -105,9 +105,10 @@ fn capture(file: &Path, out: &Path) -> Result<(), Stop> {
         why => Stop::usage(why),
     })?;
     let utc_ns = Reading::open(file).map(utc_ns).map_err(Stop::usage)?;
+    let link = link_of(Reading::open(file).map_err(Stop::usage)?);
     let program = format!("fieldbeat {VERSION}");
     let is_broken = if out == Path::new("-") {
-        let export = Exported::new(BufWriter::new(io::stdout().lock()), &program, &plan, utc_ns);
+        let export = Exported::new(BufWriter::new(io::stdout().lock()), &program, &plan, utc_ns, link);
         match export.and_then(|export| export.all(entries)) {
             Ok((_, is_broken)) => is_broken,
             Err(why) => return printed(Err(why)),
@@ -115,7 +116,7 @@ fn capture(file: &Path, out: &Path) -> Result<(), Stop> {
     } else {
         let refused = |why: io::Error| refused(out, &why);
         let made = BufWriter::new(File::create_new(out).map_err(refused)?);
-        let export = Exported::new(made, &program, &plan, utc_ns);
+        let export = Exported::new(made, &program, &plan, utc_ns, link);
         let (packets, is_broken) = export.and_then(|export| export.all(entries)).map_err(|why| {
             // Half of it would be in the way of the next one.
             let _ = std::fs::remove_file(out);

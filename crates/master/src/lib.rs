@@ -427,14 +427,14 @@ impl Setup {
             rt::memory::prepare_heap();
         }
         let (core, mut regions) = (realtime.core_to_be(), Regions::default());
-        let log = self.begin_log(&mut regions);
+        let (log, link) = self.begin_log(&mut regions);
         let os = Os::off_core(core);
         // Without a log nothing is between the loop and the system.
         match log.is_on() {
             false => self.start_on(MonotonicClock, &os, realtime, regions),
             true => {
                 let clock = LoggedClock::new(MonotonicClock, &log);
-                self.start_on(clock, &LoggedCarriers::new(&os, &log), realtime, regions)
+                self.start_on(clock, &LoggedCarriers::new(&os, &log, link), realtime, regions)
             }
         }
     }

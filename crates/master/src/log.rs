@@ -4,6 +4,7 @@ use super::Setup;
 use fieldbeat_core::cycle::Plan;
 use fieldbeat_core::inputs::InputLog;
 use fieldbeat_core::inputs::recording::{LogReader, log};
+use fieldbeat_core::logged::LinkTap;
 use fieldbeat_core::rt::Regions;
 use fieldbeat_core::time::S;
 use fieldbeat_telemetry::log::{LogBegin, MachineOf};
@@ -39,13 +40,14 @@ impl Setup {
         self
     }
 
-    /// The log of the machine, begun if one is wanted.
-    pub(crate) fn begin_log(&mut self, regions: &mut Regions) -> InputLog {
-        let Some(sink) = self.log_sink.take() else { return InputLog::default() };
+    /// The log of the machine, begun if one is wanted, and what takes up the link thread's part of the wire.
+    pub(crate) fn begin_log(&mut self, regions: &mut Regions) -> (InputLog, LinkTap) {
+        let link = LinkTap::default();
+        let Some(sink) = self.log_sink.take() else { return (InputLog::default(), link) };
         let (log, reader) = begin(&self.plan, regions);
         let machine = std::mem::take(&mut self.machine);
         let plan = self.plan.resolved();
-        sink(LogBegin { reader, machine, plan, has_task: self.task.is_some() });
-        log
+        sink(LogBegin { reader, link: link.clone(), machine, plan, has_task: self.task.is_some() });
+        (log, link)
     }
 }

@@ -123,12 +123,12 @@ impl Setup {
         let world = World::new(drives, options)?;
         let mut setup = self;
         let mut regions = Regions::default();
-        let log = setup.begin_log(&mut regions);
+        let (log, link) = setup.begin_log(&mut regions);
         let Setup { plan, task, black_box, mut sink, .. } = setup;
         let has_task = task.is_some();
         let control = Control::default();
         let clock = LoggedClock::new(world.clock(), &log);
-        let logged = LoggedCarriers::new(&world, &log);
+        let logged = LoggedCarriers::new(&world, &log, link);
         let carriers: &dyn Carriers = if log.is_on() { &logged } else { &world };
         let Assembly { mut engine, axes, devices, acyclics, gauges, records, pulse, wires, .. } = assemble(
             &plan,

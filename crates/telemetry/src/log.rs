@@ -1,6 +1,7 @@
 //! The log of a machine's inputs: how it begins, for whatever takes it out.
 
 use fieldbeat_core::inputs::recording::LogReader;
+use fieldbeat_core::logged::LinkTap;
 
 /// Where the plan of a machine comes from.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -31,6 +32,8 @@ pub enum MachineOf {
 pub struct LogBegin {
     /// The end of the log.
     pub reader: LogReader,
+    /// What passes connections while the loop does not have them.
+    pub link: LinkTap,
     /// Where the plan comes from.
     pub machine: MachineOf,
     /// The plan, resolved.

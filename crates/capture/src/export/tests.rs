@@ -53,7 +53,7 @@ fn exported(work: impl FnOnce(&Recording)) -> (Vec<u8>, u64) {
     let mut pieces = vec![words];
     let plan = fieldbeat_config::parse(MACHINE, "m.toml").unwrap().plan;
     let mut bytes = Vec::new();
-    let export = Export::new(&mut bytes, "test", &plan, LATER_NS).unwrap();
+    let export = Export::new(&mut bytes, "test", &plan, LATER_NS, std::iter::empty()).unwrap();
     let (packets, is_broken) = export.all(Entries::new(Box::new(move || pieces.pop()))).unwrap();
     assert!(!is_broken);
     (bytes, packets)

@@ -5,14 +5,17 @@
 //! |---|---|
 //! | `clock` | both clocks |
 //! | `recorded` | the carriers of a recorded run |
+//! | `link` | what passes connections while the link thread has them |
 //! | `replayed` | those of a repeated one |
 //! | `codes` | results of carriers as words |
 
 mod clock;
 mod codes;
+mod link;
 mod recorded;
 mod replayed;
 
 pub use self::clock::{LoggedClock, ReplayClock};
+pub use self::link::{LinkEvent, LinkPassed, LinkTap};
 pub use self::recorded::LoggedCarriers;
 pub use self::replayed::ReplayCarriers;

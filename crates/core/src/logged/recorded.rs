@@ -7,6 +7,7 @@ use std::sync::Arc;
 use std::task::Waker;
 
 use super::codes::{broken, unsent};
+use super::link::LinkTap;
 use crate::inputs::InputLog;
 use crate::inputs::entry::{Kind, of_bus, peer};
 use crate::net::frames::{Dropped, Unsent};
@@ -21,6 +22,7 @@ use crate::time::Time;
 pub struct LoggedCarriers<'a> {
     carriers: &'a dyn Carriers,
     log: InputLog,
+    link: LinkTap,
 }
 
 impl std::fmt::Debug for LoggedCarriers<'_> {
@@ -30,9 +32,9 @@ impl std::fmt::Debug for LoggedCarriers<'_> {
 }
 
 impl<'a> LoggedCarriers<'a> {
-    /// Those of `carriers`, with this log.
-    pub fn new(carriers: &'a dyn Carriers, log: &InputLog) -> LoggedCarriers<'a> {
-        LoggedCarriers { carriers, log: log.clone() }
+    /// Those of `carriers`, with this log; `link` gets what the loop does not see.
+    pub fn new(carriers: &'a dyn Carriers, log: &InputLog, link: LinkTap) -> LoggedCarriers<'a> {
+        LoggedCarriers { carriers, log: log.clone(), link }
     }
 
     fn logged<T>(&self, net: T) -> Box<Logged<T>> {
@@ -49,6 +51,7 @@ impl Carriers for LoggedCarriers<'_> {
     }
 
     fn streams(&self, peers: Vec<StreamPeer>) -> io::Result<Box<dyn Streams>> {
+        let peers = self.link.around(self.log.bus(), peers);
         Ok(self.logged(self.carriers.streams(peers)?))
     }
 

@@ -11,6 +11,8 @@ pub const LAYOUT: &str = "3";
 /// The topic of the log. Each message has some words of it, which end with a whole cycle: a message of Protocol Buffers
 /// like all others of a recording, since some readers refuse a file in which a channel has no schema.
 pub const TOPIC: &str = "/wire";
+/// Where what passes connections is while the link thread has them: handshakes and sessions. A replay does without.
+pub const LINK_TOPIC: &str = "/link";
 /// The metadata before the log, and before all messages ...
 pub const BEGIN: &str = "fieldbeat.wire";
 /// ... and that behind it, with the first cycle that it has not ...

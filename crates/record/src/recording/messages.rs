@@ -12,6 +12,7 @@ use fieldbeat_core::cycle::record::{
     CommandRecord, CommandStep, CycleRecord, DriveRecord, Lateness, MonitorRecord, ReferenceRecord, Reply,
     SkippedRecord, Stage,
 };
+use fieldbeat_core::logged::{LinkEvent, LinkPassed};
 use fieldbeat_telemetry::causes::Judged;
 
 /// A record and the instant of its cycle.
@@ -325,6 +326,25 @@ pub fn commands() -> Table<At<CommandText>> {
             ("acceleration".into(), Get::F64(|at| at.of.acceleration())),
             ("deceleration".into(), Get::F64(|at| at.of.deceleration())),
             ("torque_slope".into(), Get::F64(|at| at.of.slope())),
+        ],
+    )
+}
+
+const LINK_EVENTS: Names =
+    Names { name: "LinkEvent", values: || LinkEvent::ALL.map(LinkEvent::name).to_vec() };
+
+/// `/link`: what passes a connection while the link thread has it.
+pub fn link() -> Table<LinkPassed> {
+    Table::new(
+        "Link",
+        vec![
+            ("monotonic_ns".into(), Get::U64(|of| of.at.0)),
+            ("bus".into(), Get::U32(|of| of.bus.into())),
+            ("connection".into(), Get::U32(|of| of.index.into())),
+            ("address".into(), Get::U32(|of| of.peer.ip().to_bits())),
+            ("port".into(), Get::U32(|of| of.peer.port().into())),
+            ("event".into(), Get::Named(|of| of.event as u32, &LINK_EVENTS)),
+            ("bytes".into(), Get::Bytes(|of| &of.bytes)),
         ],
     )
 }

@@ -302,6 +302,14 @@ impl Entry {
         }
     }
 
+    /// Bytes; none if there are none.
+    pub fn bytes(&self, field: &str) -> Vec<u8> {
+        match self.message.get_field_by_name(field).as_deref() {
+            Some(Value::Bytes(bytes)) => bytes.to_vec(),
+            _ => Vec::new(),
+        }
+    }
+
     /// A whole number; 0 if there is none. Yes is 1.
     pub fn number(&self, field: &str) -> u64 {
         match self.message.get_field_by_name(field).as_deref() {

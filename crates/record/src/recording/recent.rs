@@ -8,6 +8,7 @@ use crossbeam_channel::Receiver;
 use crate::log::layout::Begin;
 use fieldbeat_core::inputs::entry::{Head, Kind};
 use fieldbeat_core::inputs::recording::LogReader;
+use fieldbeat_core::logged::{LinkPassed, LinkTap};
 use fieldbeat_core::time::Time;
 use fieldbeat_telemetry::log::LogBegin;
 
@@ -16,8 +17,10 @@ use fieldbeat_telemetry::log::LogBegin;
 pub struct RecentWire {
     from: Receiver<LogBegin>,
     /// Once the machine is built.
-    log: Option<(LogReader, Begin)>,
+    log: Option<(LogReader, LinkTap, Begin)>,
     pieces: VecDeque<Piece>,
+    /// What the link thread had on connections meanwhile.
+    link: VecDeque<LinkPassed>,
     /// The time of the newest entry.
     newest: Time,
     /// So much of it is kept.
@@ -41,6 +44,8 @@ pub struct WireEnd {
     pub from: Time,
     /// Its words.
     pub words: Vec<u64>,
+    /// What the link thread had on connections meanwhile.
+    pub link: Vec<LinkPassed>,
     /// The first cycle that it has not, since there was no room for it between the loop and this.
     pub cut_at: Option<u64>,
 }
@@ -48,18 +53,26 @@ pub struct WireEnd {
 impl RecentWire {
     /// The newest `span_ns` of the log that comes from there.
     pub fn new(from: Receiver<LogBegin>, span_ns: u64) -> RecentWire {
-        RecentWire { from, log: None, pieces: VecDeque::new(), newest: Time(0), span_ns }
+        RecentWire {
+            from,
+            log: None,
+            pieces: VecDeque::new(),
+            link: VecDeque::new(),
+            newest: Time(0),
+            span_ns,
+        }
     }
 
     /// Takes what the loop has logged since then.
     pub fn take(&mut self) {
         if self.log.is_none() {
-            self.log = self.from.try_recv().ok().map(|LogBegin { reader, machine, plan, has_task }| {
+            self.log = self.from.try_recv().ok().map(|LogBegin { reader, link, machine, plan, has_task }| {
                 let begin = Begin::new(env!("CARGO_PKG_VERSION"), machine, plan, has_task);
-                (reader, Begin { is_whole: false, ..begin })
+                (reader, link, Begin { is_whole: false, ..begin })
             });
         }
-        let Some((reader, _)) = &mut self.log else { return };
+        let Some((reader, link, _)) = &mut self.log else { return };
+        self.link.extend(link.take().0);
         let mut words = Vec::new();
         reader.take(&mut words);
         if words.is_empty() {
@@ -72,16 +85,26 @@ impl RecentWire {
         while self.pieces.get(1).is_some_and(|next| self.newest.since(next.from) >= self.span_ns) {
             self.pieces.pop_front();
         }
+        let from = self.pieces.front().map_or(Time(0), |piece| piece.from);
+        while self.link.front().is_some_and(|passed| passed.at < from) {
+            self.link.pop_front();
+        }
     }
 
     /// As much of it as is kept; `None`: there is none.
     pub fn end(&self) -> Option<WireEnd> {
-        let ((reader, begin), first) = (self.log.as_ref()?, self.pieces.front()?);
+        let ((reader, _, begin), first) = (self.log.as_ref()?, self.pieces.front()?);
         // Differences of times count from the entry before, which is no longer there.
         let base = Head { kind: Kind::Base, looks: 0, bytes: size_of::<u64>(), after_ns: 0 };
         let mut words = vec![base.word(), first.from.0];
         words.extend(self.pieces.iter().flat_map(|piece| &piece.words));
-        Some(WireEnd { begin: begin.to_map(), from: first.from, words, cut_at: reader.ended_at() })
+        Some(WireEnd {
+            begin: begin.to_map(),
+            from: first.from,
+            words,
+            link: self.link.iter().cloned().collect(),
+            cut_at: reader.ended_at(),
+        })
     }
 }
 
@@ -115,7 +138,8 @@ mod tests {
         let mut recent = RecentWire::new(from, S);
         recent.take();
         assert!(recent.end().is_none());
-        let begin = LogBegin { reader, machine: MachineOf::Code, plan: String::new(), has_task: false };
+        let (link, plan) = (LinkTap::default(), String::new());
+        let begin = LogBegin { reader, link, machine: MachineOf::Code, plan, has_task: false };
         sender.send(begin).unwrap();
         for cycle in 0..5_000 {
             // Far from the zero of the clock, with a gap that no difference bridges.

@@ -175,7 +175,7 @@ impl<W: Write> Writer<W> {
 
     /// Writes the end of a log, before all messages.
     pub fn put_wire(&mut self, of: &WireEnd) -> io::Result<()> {
-        Wire::put(&mut self.out, of, of.from.0.saturating_add_signed(self.utc_ns))
+        Wire::put(&mut self.out, of, self.utc_ns)
     }
 
     /// How much was written.
@@ -202,6 +202,7 @@ impl<W: Write> Writer<W> {
     pub fn take_log(&mut self) -> io::Result<()> {
         let Some(wire) = &mut self.wire else { return Ok(()) };
         wire.take();
+        self.written.messages += wire.put_link(&mut self.out, self.utc_ns)?;
         // The time of a message is that of a cycle.
         if wire.is_enough() && self.chunk.is_some() { self.write_log() } else { Ok(()) }
     }
@@ -210,6 +211,7 @@ impl<W: Write> Writer<W> {
     pub fn end_log(&mut self) -> io::Result<()> {
         let Some(wire) = &mut self.wire else { return Ok(()) };
         wire.take();
+        self.written.messages += wire.put_link(&mut self.out, self.utc_ns)?;
         self.write_log()?;
         self.wire.as_ref().map_or(Ok(()), |wire| wire.end(&mut self.out))
     }
@@ -221,9 +223,11 @@ impl<W: Write> Writer<W> {
         topic.send(&mut self.out, self.grid.1.0.saturating_add_signed(self.utc_ns), bytes)
     }
 
-    /// How many records it has dropped, since others of the same native process data are missing.
+    /// How many records it has dropped, since others of the same native process data are missing, or which the link
+    /// thread has lost.
     pub fn dropped(&self) -> u64 {
-        self.natives.iter().flatten().map(|(_, parts)| parts.dropped()).sum()
+        let of_link = self.wire.as_ref().map_or(0, Wire::lost);
+        self.natives.iter().flatten().map(|(_, parts)| parts.dropped()).sum::<u64>() + of_link
     }
 
     /// Takes a record in.

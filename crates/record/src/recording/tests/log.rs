@@ -11,6 +11,7 @@ use crate::recording::whole::Whole;
 use fieldbeat_core::cycle::record::Record;
 use fieldbeat_core::inputs::entry::Kind;
 use fieldbeat_core::inputs::recording::{Recording, log};
+use fieldbeat_core::logged::LinkTap;
 use fieldbeat_core::rt::Regions;
 use fieldbeat_telemetry::log::{LogBegin, MachineOf};
 use fieldbeat_telemetry::sink::{Sink, WireSummary};
@@ -19,7 +20,15 @@ use fieldbeat_telemetry::sink::{Sink, WireSummary};
 fn with_log(path: &Path, file: File) -> (Whole, Recording) {
     let (recording, reader) = log(16, &mut Regions::default());
     let (sender, receiver) = crossbeam_channel::bounded(1);
-    sender.send(LogBegin { reader, machine: MachineOf::Code, plan: String::new(), has_task: false }).unwrap();
+    sender
+        .send(LogBegin {
+            reader,
+            link: LinkTap::default(),
+            machine: MachineOf::Code,
+            plan: String::new(),
+            has_task: false,
+        })
+        .unwrap();
     let file = NamedTempFile::from_parts(file, TempPath::try_from_path(path).unwrap());
     (Whole::new(file, path.to_owned(), machine(), Some(receiver)), recording)
 }
