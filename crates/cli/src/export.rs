@@ -99,8 +99,8 @@ fn capture(file: &Path, out: &Path) -> Result<(), Stop> {
             "{path} is of a machine that was built in code: the addresses of its drives are not in it"
         )),
         ReplayError::NoWire { path, why } => Stop::usage(format!(
-            "{path} has no telegrams{why}; record the run with --record FILE --record-wire, or, for the files of the \
-             black box, start it with --black-box-wire"
+            "{path} has no telegrams{why}; record the run with --record FILE --record-wire, or start it with \
+             --black-box-wire for the files of its black box"
         )),
         why => Stop::usage(why),
     })?;
