@@ -8,7 +8,8 @@ use fieldbeat::bus::BusPlan;
 use fieldbeat::telemetry::Measured;
 use fieldbeat::time::MS;
 use fieldbeat::{Plan, Wait};
-use fieldbeat_core::cycle::record::Record;
+use fieldbeat_core::axis::Link;
+use fieldbeat_core::cycle::record::{DriveRecord, Record};
 use fieldbeat_core::net::{Carriers, Datagrams, Frames, Serial, SerialLine, StreamPeer, Streams, UdpOptions};
 use fieldbeat_ethercat as ethercat;
 use fieldbeat_ethernet_ip as ethernet_ip;
@@ -197,6 +198,11 @@ fn records_of<C: Metered>(mut rig: Rig<C>, part: Option<&str>, memory: &InMemory
     bring_up(&mut rig, part, memory);
     let units: Vec<_> = plan.buses.iter().flat_map(|bus| bus.axes()).map(|axis| axis.units).collect();
     let mut measured = Measured::new(&units, &plan.cycle, false);
+    // As in a run that lasts: a stretch of its course has many cycles.
+    for axis in 0..plan.axes().len() as u16 {
+        let drive = DriveRecord { index: 1 << 20, axis, link: Link::Online, ..DriveRecord::default() };
+        measured.enter(&Record::Drive(drive));
+    }
     let directory = tempfile::tempdir().unwrap_or_else(|error| rig::give_up(error));
     let recorder = Recorder::create(directory.path().join("counted.mcap"));
     let mut sink = recorder.unwrap_or_else(|error| rig::give_up(error)).sink(plan, None);

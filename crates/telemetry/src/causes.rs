@@ -202,19 +202,24 @@ impl Causes {
         }
     }
 
+    /// Looks at that of a drive.
+    #[inline]
+    pub(crate) fn drive(&mut self, drive: &DriveRecord) {
+        // Mostly it has answered.
+        if drive.reply == Reply::Missed
+            && drive.was_online()
+            && self.missed.is_none_or(|(cycle, _)| cycle != drive.index)
+        {
+            self.missed = Some((drive.index, drive.axis));
+        }
+    }
+
     /// Looks at one record.
     #[doc(hidden)]
     pub fn record(&mut self, record: &Record) {
         match record {
-            Record::Drive(drive @ DriveRecord { index, axis, reply: Reply::Missed, .. })
-                if drive.was_online() =>
-            {
-                if self.missed.is_none_or(|(cycle, _)| cycle != *index) {
-                    self.missed = Some((*index, *axis));
-                }
-            }
-            Record::Drive(_)
-            | Record::Monitor(_)
+            Record::Drive(drive) => self.drive(drive),
+            Record::Monitor(_)
             | Record::Reference(_)
             | Record::Command(_)
             | Record::Event(_)

@@ -151,14 +151,7 @@ impl Histograms {
     #[doc(hidden)]
     pub fn enter(&mut self, record: &Record, period_ns: u64) {
         match record {
-            Record::Drive(of @ DriveRecord { axis, rtt_ns, jitter_ns, age_ns, reply, .. }) => {
-                let Some(drive) = self.drives.get_mut(usize::from(*axis)) else { return };
-                let is_unanswered = matches!(reply, Reply::Missed | Reply::Unsent);
-                drive.unanswered += u64::from(is_unanswered && of.was_online());
-                drive.rtt.enter_measured(*rtt_ns);
-                drive.send_jitter.enter_measured(*jitter_ns);
-                drive.age.enter_measured(*age_ns);
-            }
+            Record::Drive(drive) => self.drive(drive),
             Record::Monitor(_) | Record::Command(_) | Record::Event(_) | Record::Native(_) => {}
             Record::Reference(ReferenceRecord { error_ns, counts, .. }) => {
                 if let Some(error_ns) = error_ns.filter(|_| *counts) {
@@ -174,6 +167,17 @@ impl Histograms {
             }
             Record::Skipped(record) => self.enter_skipped(record, period_ns),
         }
+    }
+
+    /// Enters that of a drive.
+    #[inline]
+    pub(crate) fn drive(&mut self, of: &DriveRecord) {
+        let Some(drive) = self.drives.get_mut(usize::from(of.axis)) else { return };
+        let is_unanswered = matches!(of.reply, Reply::Missed | Reply::Unsent);
+        drive.unanswered += u64::from(is_unanswered && of.was_online());
+        drive.rtt.enter_measured(of.rtt_ns);
+        drive.send_jitter.enter_measured(of.jitter_ns);
+        drive.age.enter_measured(of.age_ns);
     }
 
     /// Slot by slot while they differ, and all that are beyond the histogram at once.

@@ -36,14 +36,12 @@ impl Band {
     #[inline]
     fn see(&mut self, value: f64) {
         let value = value as f32;
-        if value.is_finite() {
-            self.low = if value < self.low { value } else { self.low };
-            self.high = if value > self.high { value } else { self.high };
-        }
+        self.low = if value < self.low { value } else { self.low };
+        self.high = if value > self.high { value } else { self.high };
     }
 
     fn known(self) -> Option<Band> {
-        (self.low <= self.high).then_some(self)
+        (self.low <= self.high && self.low.is_finite() && self.high.is_finite()).then_some(self)
     }
 }
 
@@ -291,9 +289,12 @@ impl Motion {
 
     /// Takes in what a drive did in a cycle.
     #[doc(hidden)]
+    #[inline(always)] // Of nearly each record.
     pub fn enter(&mut self, record: &DriveRecord) {
         let Some((motion, known)) = self.axes.get_mut(usize::from(record.axis)) else { return };
-        known.notice(record, &mut motion.marks);
+        if known.differs(record) {
+            known.notice(record, &mut motion.marks);
+        }
         if record.link != Link::Online {
             return;
         }
@@ -316,7 +317,15 @@ impl Motion {
 }
 
 impl Known {
+    /// Whether something is new in `record`.
+    #[inline]
+    fn differs(&self, record: &DriveRecord) -> bool {
+        (self.link, self.state, self.fault, self.stopped)
+            != (record.link, record.state, record.fault, record.stopped)
+    }
+
     /// Marks what is new in `record`.
+    #[cold]
     fn notice(&mut self, record: &DriveRecord, marks: &mut Marks) {
         let DriveRecord { index, link, state, fault, stopped, .. } = *record;
         if link != self.link {

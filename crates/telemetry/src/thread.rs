@@ -19,7 +19,7 @@ use super::timeline::Timeline;
 use crate::parts::Parts;
 use fieldbeat_core::axis::cell::Reader;
 use fieldbeat_core::axis::{Emergency, EventKind, StopCause, Units};
-use fieldbeat_core::cycle::record::Record;
+use fieldbeat_core::cycle::record::{DriveRecord, Record};
 use fieldbeat_core::cycle::ring::RecordReader;
 use fieldbeat_core::cycle::status::{Numbers, Status};
 use fieldbeat_core::cycle::{CyclePlan, Plan};
@@ -133,18 +133,28 @@ impl Measured {
     /// Enters one record.
     #[doc(hidden)]
     pub fn enter(&mut self, record: &Record) {
+        if let Record::Drive(drive) = record {
+            return self.drive(drive);
+        }
         self.histograms.enter(record, self.period_ns);
         self.timeline.enter(record);
         self.causes.record(record);
-        if let Record::Cycle(cycle) = record {
-            self.parts.look(cycle.index, &self.histograms);
+        match record {
+            Record::Cycle(cycle) => self.parts.look(cycle.index, &self.histograms),
+            Record::Event(event) => {
+                if let Some(EventKind::Emergency(emergency)) = event.kind() {
+                    self.note(event.index, event.axis.into(), emergency);
+                }
+            }
+            _ => {}
         }
-        if let Record::Event(event) = record
-            && let Some(EventKind::Emergency(emergency)) = event.kind()
-        {
-            self.note(event.index, event.axis.into(), emergency);
-        }
-        let Record::Drive(drive) = record else { return };
+    }
+
+    /// Enters that of a drive: of all records, nearly each one is.
+    fn drive(&mut self, drive: &DriveRecord) {
+        self.histograms.drive(drive);
+        self.timeline.drive(drive);
+        self.causes.drive(drive);
         self.motion.enter(drive);
         if drive.stopped == Some(StopCause::LinkThread) {
             self.failed(
@@ -513,7 +523,7 @@ mod tests {
     use std::sync::mpsc;
 
     use super::*;
-    use fieldbeat_core::cycle::record::{DriveRecord, EventRecord};
+    use fieldbeat_core::cycle::record::EventRecord;
     use fieldbeat_core::cycle::ring::{self, Kept, RecordWriter};
     use fieldbeat_core::rt::Regions;
 

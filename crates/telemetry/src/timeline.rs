@@ -66,10 +66,7 @@ impl Timeline {
     #[doc(hidden)]
     pub fn enter(&mut self, record: &Record) {
         match record {
-            Record::Drive(DriveRecord { rtt_ns, reply, .. }) => {
-                self.cycle.rtt_ns = self.cycle.rtt_ns.max(rtt_ns.map_or(0, |ns| u64::from(ns.get())));
-                self.cycle.missed += u64::from(*reply == Reply::Missed);
-            }
+            Record::Drive(drive) => self.drive(drive),
             Record::Monitor(_)
             | Record::Reference(_)
             | Record::Command(_)
@@ -86,6 +83,13 @@ impl Timeline {
                 self.all.at(record.first).merge(Stretch { wake_ns, skipped, ..Stretch::default() });
             }
         }
+    }
+
+    /// Enters that of a drive.
+    #[inline]
+    pub(crate) fn drive(&mut self, DriveRecord { rtt_ns, reply, .. }: &DriveRecord) {
+        self.cycle.rtt_ns = self.cycle.rtt_ns.max(rtt_ns.map_or(0, |ns| u64::from(ns.get())));
+        self.cycle.missed += u64::from(*reply == Reply::Missed);
     }
 
     /// Appends the course of a later run, whose cycle 0 was at `begin`.

@@ -2,8 +2,9 @@
 //! positions in the unit of their axis. What has a number and a name stands there as both.
 
 use std::borrow::Cow;
+use std::num::NonZeroU32;
 
-use super::schema::{Get, Names, Table, identifier};
+use super::schema::{Fields, Get, Names, Table, Visit, identifier};
 use fieldbeat_core::axis::{
     BegunBy, Command, EventKind, Jog, Link, MONITOR_CHANNELS, Move, Outcome, State, StopCause, Target,
 };
@@ -16,6 +17,7 @@ use fieldbeat_core::logged::{LinkEvent, LinkPassed};
 use fieldbeat_telemetry::causes::Judged;
 
 /// A record and the instant of its cycle.
+#[derive(Default)]
 pub struct At<T> {
     /// The slot.
     pub cycle: u64,
@@ -38,11 +40,11 @@ const COMMANDS: Names = Names {
 };
 const EXCHANGES: Names = Names { name: "Exchange", values: || Reply::ALL.map(Reply::name).to_vec() };
 
-type Fields<T> = Vec<(Cow<'static, str>, Get<At<T>>)>;
+type List<T> = Vec<(Cow<'static, str>, Get<At<T>>)>;
 
 /// Fields behind those that every message has.
-fn table<T>(name: &str, fields: Fields<T>) -> Table<At<T>> {
-    let mut all: Fields<T> = vec![
+fn table<T>(name: &str, fields: List<T>) -> Table<At<T>> {
+    let mut all: List<T> = vec![
         ("cycle".into(), Get::U64(|at| at.cycle)),
         ("monotonic_ns".into(), Get::U64(|at| at.monotonic_ns)),
     ];
@@ -56,6 +58,7 @@ pub fn every() -> Table<At<()>> {
 }
 
 /// A drive in an executed cycle.
+#[derive(Default)]
 pub struct AxisRecord {
     /// What the loop reported.
     pub drive: DriveRecord,
@@ -65,36 +68,42 @@ pub struct AxisRecord {
 
 /// `/axes/NAME`: one drive in an executed cycle.
 pub fn axis() -> Table<At<AxisRecord>> {
-    table(
-        "Axis",
-        vec![
-            ("position".into(), Get::F64(|at| at.of.drive.reported(at.of.drive.position))),
-            ("demand".into(), Get::F64(|at| at.of.drive.reported(at.of.drive.demand))),
-            ("following_error".into(), Get::F64(|at| at.of.drive.following_error(at.of.modulo))),
-            ("velocity".into(), Get::F32(|at| at.of.drive.reported(at.of.drive.velocity.into()) as f32)),
-            ("current".into(), Get::F32(|at| at.of.drive.reported(at.of.drive.current.into()) as f32)),
-            ("state".into(), Get::Named(|at| at.of.drive.state as u32, &STATES)),
-            ("link".into(), Get::Named(|at| at.of.drive.link as u32, &LINKS)),
-            ("stopped".into(), Get::Named(|at| at.of.drive.stopped.map_or(0, |cause| cause as u32), &CAUSES)),
-            ("command".into(), Get::Named(|at| at.of.drive.command.into(), &COMMANDS)),
-            ("moving".into(), Get::Bool(|at| at.of.drive.moving())),
-            ("sto_open".into(), Get::Bool(|at| at.of.drive.sto_open())),
-            ("fault".into(), Get::U32(|at| at.of.drive.fault)),
-            ("warning".into(), Get::U32(|at| at.of.drive.warning)),
-            ("exchange".into(), Get::Named(|at| at.of.drive.reply as u32, &EXCHANGES)),
-            ("sent_after_ns".into(), Get::U32(|at| at.of.drive.phase_ns.map_or(0, |ns| ns.get()))),
-            ("send_jitter_ns".into(), Get::U32(|at| at.of.drive.jitter_ns.map_or(0, |ns| ns.get()))),
-            ("rtt_ns".into(), Get::U32(|at| at.of.drive.rtt_ns.map_or(0, |ns| ns.get()))),
-            ("age_ns".into(), Get::U32(|at| at.of.drive.age_ns.map_or(0, |ns| ns.get()))),
-        ],
-    )
+    Table::of("Axis")
+}
+
+impl Fields for At<AxisRecord> {
+    #[inline(always)]
+    fn visit(&self, to: &mut impl Visit) {
+        let At { cycle, monotonic_ns, of: AxisRecord { drive, modulo } } = self;
+        let ns = |measured: Option<NonZeroU32>| measured.map_or(0, NonZeroU32::get);
+        to.u64("cycle", *cycle);
+        to.u64("monotonic_ns", *monotonic_ns);
+        to.f64("position", drive.reported(drive.position));
+        to.f64("demand", drive.reported(drive.demand));
+        to.f64("following_error", drive.following_error(*modulo));
+        to.f32("velocity", drive.reported(drive.velocity.into()) as f32);
+        to.f32("current", drive.reported(drive.current.into()) as f32);
+        to.named("state", drive.state as u32, &STATES);
+        to.named("link", drive.link as u32, &LINKS);
+        to.named("stopped", drive.stopped.map_or(0, |cause| cause as u32), &CAUSES);
+        to.named("command", drive.command.into(), &COMMANDS);
+        to.bool("moving", drive.moving());
+        to.bool("sto_open", drive.sto_open());
+        to.u32("fault", drive.fault);
+        to.u32("warning", drive.warning);
+        to.named("exchange", drive.reply as u32, &EXCHANGES);
+        to.u32("sent_after_ns", ns(drive.phase_ns));
+        to.u32("send_jitter_ns", ns(drive.jitter_ns));
+        to.u32("rtt_ns", ns(drive.rtt_ns));
+        to.u32("age_ns", ns(drive.age_ns));
+    }
 }
 
 /// `/axes/NAME/monitors`: its monitored variables, each under its own name; not a number where it was not reported.
 pub fn monitors(names: &[Option<String>; MONITOR_CHANNELS]) -> Table<At<MonitorRecord>> {
     const VALUES: [fn(&At<MonitorRecord>) -> f64; MONITOR_CHANNELS] =
         [|at| value(at, 0), |at| value(at, 1), |at| value(at, 2), |at| value(at, 3)];
-    let mut fields: Fields<MonitorRecord> = Vec::new();
+    let mut fields: List<MonitorRecord> = Vec::new();
     for (name, get) in names.iter().zip(VALUES) {
         let Some(name) = name else { continue };
         fields.push((unused(identifier(name), &fields), Get::F64(get)));
@@ -103,7 +112,7 @@ pub fn monitors(names: &[Option<String>; MONITOR_CHANNELS]) -> Table<At<MonitorR
 }
 
 /// This name, or one after it, that no other field of the message has.
-fn unused<T>(mut name: String, fields: &Fields<T>) -> Cow<'static, str> {
+fn unused<T>(mut name: String, fields: &List<T>) -> Cow<'static, str> {
     while ["cycle", "monotonic_ns"].contains(&&*name) || fields.iter().any(|(known, _)| *known == name) {
         name.push_str("_2");
     }
@@ -130,7 +139,7 @@ pub struct NativeValues {
 /// `/axes/NAME/native`: what a drive has received and was sent in a cycle, as bytes and, as far as their layout is
 /// known, as numbers.
 pub fn native(layout: &NativeLayout) -> Table<At<NativeValues>> {
-    let mut fields: Fields<NativeValues> = vec![
+    let mut fields: List<NativeValues> = vec![
         ("received_at_ns".into(), Get::U64(|at| at.of.received_at_ns)),
         ("inputs".into(), Get::Bytes(|at| &at.of.inputs)),
         ("outputs".into(), Get::Bytes(|at| &at.of.outputs)),
@@ -153,7 +162,7 @@ pub fn cycle() -> Table<At<CycleRecord>> {
         |at| at.of.stages_ns[4],
         |at| at.of.stages_ns[5],
     ];
-    let mut fields: Fields<CycleRecord> = vec![
+    let mut fields: List<CycleRecord> = vec![
         ("wake_ns".into(), Get::U32(|at| at.of.wake_ns)),
         ("jitter_ns".into(), Get::U32(|at| at.of.jitter_ns)),
     ];

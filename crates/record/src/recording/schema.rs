@@ -52,6 +52,28 @@ pub enum Get<T> {
     Bytes(fn(&T) -> &[u8]),
 }
 
+/// Takes the fields of a message, one after the other.
+pub trait Visit {
+    /// Unsigned.
+    fn u64(&mut self, name: &'static str, value: u64);
+    /// Unsigned, of 32 bits.
+    fn u32(&mut self, name: &'static str, value: u32);
+    /// Yes or no.
+    fn bool(&mut self, name: &'static str, value: bool);
+    /// Of 64 bits.
+    fn f64(&mut self, name: &'static str, value: f64);
+    /// Of 32 bits.
+    fn f32(&mut self, name: &'static str, value: f32);
+    /// A number that has a name: two fields, as of [`Get::Named`].
+    fn named(&mut self, name: &'static str, value: u32, names: &'static Names);
+}
+
+/// A message that is written so often that its fields are known to the compiler.
+pub trait Fields: Default {
+    /// Gives all of them.
+    fn visit(&self, to: &mut impl Visit);
+}
+
 /// A message: its name, and its fields, which are numbered from 1 on.
 #[derive(Debug)]
 pub struct Table<T> {
@@ -59,6 +81,8 @@ pub struct Table<T> {
     fields: Vec<Field<T>>,
     /// So many bytes are made ready for it; what texts take comes on top.
     room: usize,
+    /// Of one whose fields are known to the compiler.
+    encode: Option<fn(&Begun, &T, &mut Vec<u8>)>,
 }
 
 /// The first fields of messages that have them in common.
@@ -114,6 +138,121 @@ impl<T> Field<T> {
     }
 }
 
+/// The fields of a message that the compiler knows, for its description: their values are never taken from it.
+struct Listed<T>(Vec<(Cow<'static, str>, Get<T>)>);
+
+impl<T> Visit for Listed<T> {
+    fn u64(&mut self, name: &'static str, _: u64) {
+        self.0.push((name.into(), Get::U64(|_| 0)));
+    }
+
+    fn u32(&mut self, name: &'static str, _: u32) {
+        self.0.push((name.into(), Get::U32(|_| 0)));
+    }
+
+    fn bool(&mut self, name: &'static str, _: bool) {
+        self.0.push((name.into(), Get::Bool(|_| false)));
+    }
+
+    fn f64(&mut self, name: &'static str, _: f64) {
+        self.0.push((name.into(), Get::F64(|_| 0.0)));
+    }
+
+    fn f32(&mut self, name: &'static str, _: f32) {
+        self.0.push((name.into(), Get::F32(|_| 0.0)));
+    }
+
+    fn named(&mut self, name: &'static str, _: u32, names: &'static Names) {
+        self.0.push((name.into(), Get::Named(|_| 0, names)));
+    }
+}
+
+/// So many bytes has a message at most whose fields are known to the compiler.
+const ROOM: usize = 256;
+
+/// Writes the bytes of such a message.
+struct Encoder {
+    bytes: [u8; ROOM],
+    at: usize,
+    /// That of the last field.
+    number: u64,
+    /// Fields up to this one are written already.
+    from: u64,
+}
+
+impl Encoder {
+    /// Begins the next field, if it is to be written.
+    #[inline(always)]
+    fn begins(&mut self, how: u64, is_default: bool) -> bool {
+        self.number += 1;
+        let is_written = !is_default && self.number > self.from;
+        if is_written {
+            self.put(self.number << 3 | how);
+        }
+        is_written
+    }
+
+    #[inline(always)]
+    fn put(&mut self, mut value: u64) {
+        while value >= 0x80 {
+            self.bytes[self.at % ROOM] = value as u8 | 0x80;
+            (self.at, value) = (self.at + 1, value >> 7);
+        }
+        self.bytes[self.at % ROOM] = value as u8;
+        self.at += 1;
+    }
+
+    #[inline(always)]
+    fn varint(&mut self, value: u64) {
+        if self.begins(VARINT, value == 0) {
+            self.put(value);
+        }
+    }
+
+    #[inline(always)]
+    fn fixed<const BYTES: usize>(&mut self, how: u64, value: [u8; BYTES]) {
+        if self.begins(how, value == [0; BYTES])
+            && let Some(room) = self.bytes.get_mut(self.at..self.at + BYTES)
+        {
+            room.copy_from_slice(&value);
+            self.at += BYTES;
+        }
+    }
+}
+
+impl Visit for Encoder {
+    #[inline(always)]
+    fn u64(&mut self, _: &'static str, value: u64) {
+        self.varint(value);
+    }
+
+    #[inline(always)]
+    fn u32(&mut self, _: &'static str, value: u32) {
+        self.varint(value.into());
+    }
+
+    #[inline(always)]
+    fn bool(&mut self, _: &'static str, value: bool) {
+        self.varint(value.into());
+    }
+
+    #[inline(always)]
+    fn f64(&mut self, _: &'static str, value: f64) {
+        self.fixed(FIXED_64, value.to_le_bytes());
+    }
+
+    #[inline(always)]
+    fn f32(&mut self, _: &'static str, value: f32) {
+        self.fixed(FIXED_32, value.to_le_bytes());
+    }
+
+    #[inline(always)]
+    fn named(&mut self, _: &'static str, value: u32, _: &'static Names) {
+        self.varint(value.into());
+        self.varint(value.into());
+    }
+}
+
 /// How a value is written: the last three bits of a field's key.
 const VARINT: u64 = 0;
 const FIXED_64: u64 = 1;
@@ -133,7 +272,25 @@ impl<T> Table<T> {
         let fields = (1..).zip(with_names).map(|(number, (name, get))| Field::new(number, name, get));
         let fields: Vec<_> = fields.collect();
         let room = fields.iter().map(Field::longest).sum::<usize>() + LONGEST_FIELD;
-        Table { name: name.to_owned(), fields, room }
+        Table { name: name.to_owned(), fields, room, encode: None }
+    }
+
+    /// A message whose fields are known to the compiler.
+    pub fn of(name: &str) -> Table<T>
+    where
+        T: Fields,
+    {
+        let mut listed = Listed(Vec::new());
+        T::default().visit(&mut listed);
+        let table = Table::new(name, listed.0);
+        assert!(table.room <= ROOM, "{name} takes {} bytes", table.room);
+        let encode = |begun: &Begun, of: &T, out: &mut Vec<u8>| {
+            let mut encoder = Encoder { bytes: [0; ROOM], at: 0, number: 0, from: begun.fields as u64 };
+            of.visit(&mut encoder);
+            out.extend_from_slice(&begun.bytes);
+            out.extend_from_slice(&encoder.bytes[..encoder.at]);
+        };
+        Table { encode: Some(encode), ..table }
     }
 
     /// Its name with the package.
@@ -148,6 +305,9 @@ impl<T> Table<T> {
 
     /// The same behind the bytes of its first fields.
     pub fn encode_behind(&self, begun: &Begun, of: &T, out: &mut Vec<u8>) {
+        if let Some(encode) = self.encode {
+            return encode(begun, of, out);
+        }
         out.extend_from_slice(&begun.bytes);
         let (room, mut at) = (self.room, out.len());
         out.resize(at + room, 0);
