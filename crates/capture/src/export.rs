@@ -324,8 +324,9 @@ impl<W: Write> Export<W> {
     /// Writes what is left, and what says how much it is: the number of packets.
     pub fn finish(mut self) -> io::Result<(u64, W)> {
         self.flush()?;
-        self.cycle = self.link.by_ref().map(Passed::from).collect();
-        self.flush()?;
+        while let Some(passed) = self.link.next() {
+            self.write(&passed.into())?;
+        }
         for (place, bus) in self.buses.iter_mut().enumerate() {
             for (half, direction) in
                 [(&mut bus.outbound, Direction::Outbound), (&mut bus.inbound, Direction::Inbound)]

@@ -40,9 +40,13 @@ impl Setup {
 
     /// The same, and its files have what has passed the wires meanwhile: `fieldbeat export --pcapng` makes a capture of
     /// one. The loop logs all that it takes from outside and sends for it. A [recorder](Self::with_recorder) with the
-    /// wire that comes after this has the log in its place.
+    /// wire has the log in its place.
     pub fn with_black_box_and_wire(mut self, directory: impl Into<PathBuf>) -> Setup {
-        let Some(black_box) = BlackBox::new(&self.plan, &directory.into()) else { return self };
+        let directory = directory.into();
+        if self.log_sink.is_some() {
+            return self.with_black_box(directory);
+        }
+        let Some(black_box) = BlackBox::new(&self.plan, &directory) else { return self };
         let (setup, log) = self.logged();
         self = setup;
         self.black_box = Some(Box::new(black_box.with_wire(log)));

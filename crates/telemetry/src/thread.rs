@@ -376,9 +376,9 @@ impl TelemetryThread {
         let shared = Arc::clone(&gathered);
         let thread = std::thread::Builder::new().name("fb-telemetry".into()).spawn(move || {
             prepare();
-            black_box.iter_mut().for_each(|black_box| black_box.recover());
             let gathered = Arc::clone(&shared);
             let work = move || {
+                black_box.iter_mut().for_each(|black_box| black_box.recover());
                 let mut late_at = None;
                 let mut look = || {
                     let Some(sample) = watch.as_mut().and_then(|watch| watch.sample(COUNT_EVERY_NS)) else {

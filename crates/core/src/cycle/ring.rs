@@ -162,7 +162,8 @@ impl RecordWriter {
     pub fn push(&mut self, record: Record) -> bool {
         let has_room = self.room(1) > 0;
         if has_room {
-            self.write(1, std::iter::once(record));
+            self.put(record);
+            self.announce();
         }
         has_room
     }
@@ -187,15 +188,23 @@ impl RecordWriter {
     /// Writes so many records at most, for which there is room. They are announced together.
     #[inline]
     fn write(&mut self, most: u64, records: impl Iterator<Item = Record>) {
-        let (mut at, mut written) = (self.at, self.written);
-        for record in records.take(most as usize) {
-            // SAFETY: one of the slots, and one that the reader has left: not more are taken than there is room for.
-            unsafe { self.shared.records.add(at).write(record) };
-            at = if at + 1 == self.shared.slots as usize { 0 } else { at + 1 };
-            written += 1;
-        }
-        (self.at, self.written) = (at, written);
-        self.shared.head().written.store(written, Ordering::Release);
+        records.take(most as usize).for_each(|record| self.put(record));
+        self.announce();
+    }
+
+    /// Writes a record, for which there is room.
+    #[inline(always)]
+    fn put(&mut self, record: Record) {
+        // SAFETY: one of the slots, and one that the reader has left, since there is room.
+        unsafe { self.shared.records.add(self.at).write(record) };
+        self.at = if self.at + 1 == self.shared.slots as usize { 0 } else { self.at + 1 };
+        self.written += 1;
+    }
+
+    /// What was written may be read.
+    #[inline(always)]
+    fn announce(&self) {
+        self.shared.head().written.store(self.written, Ordering::Release);
     }
 }
 

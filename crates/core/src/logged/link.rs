@@ -119,7 +119,9 @@ impl Tapped {
     ) -> HandshakeState {
         let before = out.len();
         let state = step(&mut *self.inner, out);
-        if let (true, Some(sent @ [_, ..])) = (self.is_open, out.get(before..)) {
+        // What a step leaves that failed is not sent.
+        let is_sent = self.is_open && !matches!(state, HandshakeState::Failed(_));
+        if let (true, Some(sent @ [_, ..])) = (is_sent, out.get(before..)) {
             self.passed(now, LinkEvent::Sent, sent);
         }
         state

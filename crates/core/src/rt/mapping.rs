@@ -7,6 +7,7 @@
 use std::alloc::{Layout, handle_alloc_error};
 use std::fs::{File, OpenOptions};
 use std::io;
+use std::mem;
 use std::num::NonZeroUsize;
 use std::os::fd::AsRawFd;
 use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
@@ -74,9 +75,9 @@ impl Mapping {
 
     /// For a name, and for this user alone. All of it is reserved: a write never fails for want of memory.
     pub fn shared(length: NonZeroUsize) -> io::Result<Mapping> {
-        let options =
-            OpenOptions::new().read(true).write(true).custom_flags(libc::O_TMPFILE).mode(0o600).clone();
-        let file = options.open(DIRECTORY)?;
+        let mut options = OpenOptions::new();
+        let file =
+            options.read(true).write(true).custom_flags(libc::O_TMPFILE).mode(0o600).open(DIRECTORY)?;
         if fstatfs(&file)?.filesystem_type() != TMPFS_MAGIC {
             return Err(io::Error::other(format!("{DIRECTORY} is not memory (tmpfs)")));
         }
@@ -142,6 +143,10 @@ fn locked(file: File) -> io::Result<Flock<File>> {
 impl Drop for Mapping {
     fn drop(&mut self) {
         self.disappear();
+        if self.owner != std::process::id() {
+            // A forked process has the same lock: it must not be given up here.
+            mem::forget(self.file.take());
+        }
         // SAFETY: mapped by this, and the last that knows it. It does not fail for a mapping of ours.
         let _ = unsafe { munmap(self.begin.cast(), self.length.get()) };
     }

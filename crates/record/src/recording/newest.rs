@@ -124,6 +124,7 @@ pub fn encode<'a>(
     wire.map_or(Ok(()), |wire| writer.put_wire(wire))?;
     records.try_for_each(|record| writer.enter(record))?;
     judged.try_for_each(|judged| writer.late(judged))?;
+    let lost = lost + wire.map_or(0, |wire| wire.lost);
     let (messages, lost) = (writer.written().messages, lost + writer.dropped());
     Ok(Encoded { bytes: writer.finish(lost)?, messages, lost })
 }

@@ -2,6 +2,7 @@
 //! does not begin with the run, so that it cannot be repeated; a capture can be made of it.
 
 use std::collections::{BTreeMap, VecDeque};
+use std::sync::Arc;
 
 use crossbeam_channel::Receiver;
 
@@ -19,8 +20,9 @@ pub struct RecentWire {
     /// Once the machine is built.
     log: Option<(LogReader, LinkTap, Begin)>,
     pieces: VecDeque<Piece>,
-    /// What the link thread had on connections meanwhile.
+    /// What the link thread had on connections meanwhile, and how much of it was lost.
     link: VecDeque<LinkPassed>,
+    lost: u64,
     /// The time of the newest entry.
     newest: Time,
     /// So much of it is kept.
@@ -32,7 +34,7 @@ pub struct RecentWire {
 struct Piece {
     /// The time from which the first entry counts.
     from: Time,
-    words: Vec<u64>,
+    words: Arc<[u64]>,
 }
 
 /// As much of it as is kept, for a file.
@@ -40,12 +42,14 @@ struct Piece {
 pub struct WireEnd {
     /// The metadata before it.
     pub begin: BTreeMap<String, String>,
-    /// When it begins, by the clock of the loop.
-    pub from: Time,
-    /// Its words.
-    pub words: Vec<u64>,
+    /// A time in its first cycles, by the clock of the loop.
+    pub at: Time,
+    /// Its words, some whole cycles each.
+    pub words: Vec<Arc<[u64]>>,
     /// What the link thread had on connections meanwhile.
     pub link: Vec<LinkPassed>,
+    /// So much of that was lost in the run.
+    pub lost: u64,
     /// The first cycle that it has not, since there was no room for it between the loop and this.
     pub cut_at: Option<u64>,
 }
@@ -53,14 +57,8 @@ pub struct WireEnd {
 impl RecentWire {
     /// The newest `span_ns` of the log that comes from there.
     pub fn new(from: Receiver<LogBegin>, span_ns: u64) -> RecentWire {
-        RecentWire {
-            from,
-            log: None,
-            pieces: VecDeque::new(),
-            link: VecDeque::new(),
-            newest: Time(0),
-            span_ns,
-        }
+        let (pieces, link) = (VecDeque::new(), VecDeque::new());
+        RecentWire { from, log: None, pieces, link, lost: 0, newest: Time(0), span_ns }
     }
 
     /// Takes what the loop has logged since then.
@@ -72,15 +70,22 @@ impl RecentWire {
             });
         }
         let Some((reader, link, _)) = &mut self.log else { return };
-        self.link.extend(link.take().0);
+        let (passed, lost) = link.take();
         let mut words = Vec::new();
         reader.take(&mut words);
+        if words.is_empty() && reader.ended_at().is_some() {
+            // It never goes on. What is there becomes older than what is kept.
+            self.pieces.clear();
+            return self.link.clear();
+        }
+        self.link.extend(passed);
+        self.lost = lost;
         if words.is_empty() {
             return;
         }
         let from = self.newest;
         self.newest = end_of(from, &words);
-        self.pieces.push_back(Piece { from, words });
+        self.pieces.push_back(Piece { from, words: words.into() });
         // The oldest one goes once the others are enough.
         while self.pieces.get(1).is_some_and(|next| self.newest.since(next.from) >= self.span_ns) {
             self.pieces.pop_front();
@@ -91,18 +96,19 @@ impl RecentWire {
         }
     }
 
-    /// As much of it as is kept; `None`: there is none.
+    /// As much of it as is kept; `None`: there is no log.
     pub fn end(&self) -> Option<WireEnd> {
-        let ((reader, _, begin), first) = (self.log.as_ref()?, self.pieces.front()?);
+        let (reader, _, begin) = self.log.as_ref()?;
         // Differences of times count from the entry before, which is no longer there.
         let base = Head { kind: Kind::Base, looks: 0, bytes: size_of::<u64>(), after_ns: 0 };
-        let mut words = vec![base.word(), first.from.0];
-        words.extend(self.pieces.iter().flat_map(|piece| &piece.words));
+        let first = self.pieces.front();
+        let base = first.map(|first| Arc::from([base.word(), first.from.0]));
         Some(WireEnd {
             begin: begin.to_map(),
-            from: first.from,
-            words,
+            at: first.map_or(self.newest, |first| end_of(first.from, &first.words)),
+            words: base.into_iter().chain(self.pieces.iter().map(|piece| Arc::clone(&piece.words))).collect(),
             link: self.link.iter().cloned().collect(),
+            lost: self.lost,
             cut_at: reader.ended_at(),
         })
     }
@@ -153,8 +159,8 @@ mod tests {
         }
         let end = recent.end().unwrap();
         assert_eq!((end.begin["window"].as_str(), end.cut_at), ("true", None));
-        let mut words = Some(end.words);
-        let entries = Entries::new(Box::new(move || words.take()));
+        let mut words = end.words.into_iter();
+        let entries = Entries::new(Box::new(move || words.next().map(|words| words.to_vec())));
         let entries: Vec<_> = entries.map(|entry| entry.unwrap().1).collect();
         let datagrams: Vec<_> = entries.iter().filter(|entry| entry.kind == Kind::DatagramIn).collect();
         assert_eq!(entries[0].kind, Kind::Cycle);
@@ -165,5 +171,32 @@ mod tests {
         }
         let count = datagrams.len();
         assert!((480..560).contains(&count) && datagrams[count - 1].word(0) == 4_999, "{count}");
+        assert!(end.at >= datagrams[0].at && end.at <= datagrams[count - 1].at);
+    }
+
+    #[test]
+    fn a_log_that_had_no_room_leaves_nothing_that_is_older_than_it_says() {
+        let (recording, reader) = log(64, &mut Regions::new());
+        let (sender, from) = crossbeam_channel::bounded(1);
+        let mut recent = RecentWire::new(from, S);
+        let (link, plan) = (LinkTap::default(), String::new());
+        sender.send(LogBegin { reader, link, machine: MachineOf::Code, plan, has_task: false }).unwrap();
+        let cycles = |cycles: std::ops::Range<u64>| {
+            for cycle in cycles {
+                recording.cycle(cycle);
+                recording.entry_at(Kind::DatagramIn, Time(S + cycle * MS), &[cycle], &[1, 2, 3]);
+                recording.publish();
+            }
+        };
+        cycles(0..4);
+        recent.take();
+        // The first message of a run has a time of the run.
+        let first = recent.end().unwrap();
+        assert_eq!((first.at, first.cut_at), (Time(S + 3 * MS), None));
+        cycles(4..100);
+        recent.take();
+        recent.take();
+        let end = recent.end().unwrap();
+        assert!(end.words.is_empty() && end.cut_at.is_some_and(|cycle| (5..30).contains(&cycle)), "{end:?}");
     }
 }

@@ -529,6 +529,55 @@ mod tests {
         assert_eq!(out, [1, 2, 3]);
     }
 
+    /// More fields than have a key of one byte.
+    #[derive(Default)]
+    struct Many([u64; 17], f64, f32, u32, bool);
+
+    impl Fields for Many {
+        fn visit(&self, to: &mut impl Visit) {
+            self.0.iter().for_each(|number| to.u64("number", *number));
+            to.f64("f64", self.1);
+            to.f32("f32", self.2);
+            to.named("named", self.3, &COLOURS);
+            to.bool("bool", self.4);
+        }
+    }
+
+    fn listed() -> Table<Many> {
+        macro_rules! numbers {
+            ($($at:literal)+) => { vec![$(("number".into(), Get::U64(|many: &Many| many.0[$at]))),+] };
+        }
+        let mut fields = numbers!(0 1 2 3 4 5 6 7 8 9 10 11 12 13 14 15 16);
+        fields.push(("f64".into(), Get::F64(|many| many.1)));
+        fields.push(("f32".into(), Get::F32(|many| many.2)));
+        fields.push(("named".into(), Get::Named(|many| many.3, &COLOURS)));
+        fields.push(("bool".into(), Get::Bool(|many| many.4)));
+        Table::new("Many", fields)
+    }
+
+    #[test]
+    fn fields_that_the_compiler_knows_have_the_bytes_of_those_of_a_list() {
+        let (known, listed) = (Table::<Many>::of("Many"), listed());
+        assert_eq!(known.descriptor(), listed.descriptor());
+        for seed in 0..1_000 {
+            let mut random = fastrand::Rng::with_seed(seed);
+            let mut number = || if random.bool() { 0 } else { random.u64(..) >> random.u32(..64) };
+            let numbers = std::array::from_fn(|_| number());
+            let [a, b, c] = [number(), number(), number()];
+            let values = [0.0, -0.0, f64::NAN, 1e-9, f64::MAX];
+            let (wide, narrow) = (values[a as usize % 5], values[b as usize % 5] as f32);
+            let many = Many(numbers, wide, narrow, c as u32, a % 2 == 1);
+            // Its first fields may be known already, and are then given by whoever knows them.
+            for fields in [0, 1, 7, 16, 17] {
+                let begun = Begun { bytes: vec![9; fields], fields };
+                let [mut one, mut other] = [vec![1, 2], vec![1, 2]];
+                known.encode_behind(&begun, &many, &mut one);
+                listed.encode_behind(&begun, &many, &mut other);
+                assert_eq!(one, other, "{seed}, {fields}");
+            }
+        }
+    }
+
     #[test]
     fn any_name_becomes_an_identifier() {
         for (name, expected) in [

@@ -46,9 +46,9 @@ impl Wire {
         let (mut topic, mut of_link) = (topic(out)?, link_topic(out)?);
         let utc = |at: Time| at.0.saturating_add_signed(utc_ns);
         of.link.iter().try_for_each(|passed| of_link.send(out, utc(passed.at), passed))?;
-        for words in of.words.chunks(ENOUGH) {
+        for words in &of.words {
             let bytes: Vec<u8> = words.iter().copied().flat_map(u64::to_le_bytes).collect();
-            topic.send(out, utc(of.from), &bytes)?;
+            topic.send(out, utc(of.at), &bytes)?;
         }
         out.metadata(END, &cut(of.cut_at))
     }
