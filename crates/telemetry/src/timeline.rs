@@ -32,23 +32,12 @@ impl Merge for Stretch {
 /// The course of a run.
 #[derive(Clone, Debug, Default)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
-#[cfg_attr(feature = "serde", serde(from = "Stretches<Stretch>", into = "Stretches<Stretch>"))]
+#[cfg_attr(feature = "serde", serde(transparent))]
 pub struct Timeline {
     all: Stretches<Stretch>,
     /// Of the cycle whose own record is still to come.
+    #[cfg_attr(feature = "serde", serde(skip))]
     cycle: Stretch,
-}
-
-impl From<Stretches<Stretch>> for Timeline {
-    fn from(all: Stretches<Stretch>) -> Timeline {
-        Timeline { all, cycle: Stretch::default() }
-    }
-}
-
-impl From<Timeline> for Stretches<Stretch> {
-    fn from(timeline: Timeline) -> Stretches<Stretch> {
-        timeline.all
-    }
 }
 
 impl Timeline {

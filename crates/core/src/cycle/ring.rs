@@ -334,13 +334,13 @@ impl<F: Read + Seek> Remains<F> {
     /// The newest records, the newest first. One that means nothing is left out: the others are whole all the same.
     pub fn newest(&mut self) -> impl Iterator<Item = Record> {
         let Remains { memory, begin, slots, kept, written, .. } = self;
-        let mut record = |number: u64| {
+        let record = |number: u64| {
             let mut bytes = [0; RECORD];
             memory.seek(SeekFrom::Start(*begin + number % *slots * RECORD as u64)).ok()?;
             memory.read_exact(&mut bytes).ok()?;
             Record::load(&bytes)
         };
-        (written.saturating_sub(*kept)..*written).rev().filter_map(move |number| record(number))
+        (written.saturating_sub(*kept)..*written).rev().filter_map(record)
     }
 }
 

@@ -303,7 +303,6 @@ fn drive(entry: &Entry, index: u64, axis: u16) -> Result<DriveRecord, Wrong> {
         velocity: entry.float("velocity") as f32,
         position: entry.float("position"),
         demand: entry.float("demand"),
-        ..DriveRecord::default()
     })
 }
 

@@ -117,6 +117,7 @@ impl BlackBox {
     }
 
     /// Its files also have what has passed the wires, as far as it is in the log that comes from there.
+    #[doc(hidden)]
     pub fn with_wire(self, log: Receiver<LogBegin>) -> BlackBox {
         let kept_ns = self.cycles * self.newest.machine.period_ns;
         BlackBox { wire: Some(RecentWire::new(log, kept_ns)), ..self }
