@@ -1,6 +1,7 @@
 //! One conversation: a line each way, within a time that the other side cannot prolong. Neither side trusts the other
 //! to be quick, or to be itself.
 
+use std::cell::Cell;
 use std::io::{self, Read, Write};
 use std::os::fd::AsRawFd;
 use std::os::unix::net::UnixStream;
@@ -17,15 +18,21 @@ pub const LOOK_EVERY: Duration = Duration::from_millis(50);
 /// prolong a single write(2).
 const PIECE: usize = 16 << 10;
 
+/// A side that has not looked for so long did not run: it was held, or its host had no time for it. The kernel lets
+/// none wait longer than [`LOOK_EVERY`].
+const ABSENT: Duration = Duration::from_millis(500);
+
 /// A conversation that ends in time.
 pub struct Exchange<'a> {
     stream: &'a UnixStream,
-    until: Instant,
+    until: Cell<Instant>,
+    looked: Cell<Instant>,
     go_on: &'a dyn Fn() -> bool,
 }
 
 impl<'a> Exchange<'a> {
-    /// All of it takes `patience` at most, and ends once `go_on` is false.
+    /// All of it takes `patience` at most, and ends once `go_on` is false. While this side does not run itself, the
+    /// other one owes nothing: what it has answered meanwhile is taken.
     pub fn new(
         stream: &'a UnixStream,
         patience: Duration,
@@ -33,7 +40,8 @@ impl<'a> Exchange<'a> {
     ) -> io::Result<Exchange<'a>> {
         stream.set_read_timeout(Some(LOOK_EVERY))?;
         stream.set_write_timeout(Some(LOOK_EVERY))?;
-        Ok(Exchange { stream, until: Instant::now() + patience, go_on })
+        let now = Instant::now();
+        Ok(Exchange { stream, until: Cell::new(now + patience), looked: Cell::new(now), go_on })
     }
 
     /// Everything up to the end of the line, of the stream, or of `most` bytes.
@@ -69,7 +77,7 @@ impl<'a> Exchange<'a> {
     }
 
     fn patiently(&self, mut step: impl FnMut(&UnixStream) -> io::Result<usize>) -> io::Result<usize> {
-        while (self.go_on)() && Instant::now() < self.until {
+        while (self.go_on)() && self.has_time() {
             match step(self.stream) {
                 Err(error)
                     if matches!(error.kind(), io::ErrorKind::WouldBlock | io::ErrorKind::Interrupted) => {}
@@ -77,6 +85,15 @@ impl<'a> Exchange<'a> {
             }
         }
         Err(io::ErrorKind::TimedOut.into())
+    }
+
+    fn has_time(&self) -> bool {
+        let now = Instant::now();
+        let absent = now - self.looked.replace(now);
+        if absent > ABSENT {
+            self.until.set(self.until.get() + absent);
+        }
+        now < self.until.get()
     }
 }
 
@@ -87,4 +104,37 @@ pub fn connect(path: &Path, patience: Duration) -> io::Result<UnixStream> {
     setsockopt(&socket, sockopt::SendTimeout, &patience)?;
     nix::sys::socket::connect(socket.as_raw_fd(), &UnixAddr::new(path)?)?;
     Ok(socket.into())
+}
+
+#[cfg(test)]
+mod tests {
+    use std::thread::sleep;
+
+    use super::*;
+
+    #[test]
+    fn whoever_did_not_run_takes_what_was_answered_meanwhile_and_whoever_trickles_gains_nothing() {
+        let patience = Duration::from_millis(200);
+        let (ours, mut other) = UnixStream::pair().unwrap();
+        other.write_all(b"an answer\n").unwrap();
+        let held = Cell::new(false);
+        let go_on = || {
+            if !held.replace(true) {
+                sleep(2 * ABSENT);
+            }
+            true
+        };
+        let exchange = Exchange::new(&ours, patience, &go_on).unwrap();
+        assert_eq!(exchange.line(100).unwrap(), b"an answer\n");
+
+        let trickles = std::thread::spawn(move || {
+            while other.write_all(b"x").is_ok() {
+                sleep(LOOK_EVERY / 2);
+            }
+        });
+        let exchange = Exchange::new(&ours, patience, &|| true).unwrap();
+        assert_eq!(exchange.line(1 << 20).unwrap_err().kind(), io::ErrorKind::TimedOut);
+        drop(ours);
+        trickles.join().unwrap();
+    }
 }
