@@ -31,6 +31,12 @@ pub struct About {
     faults: BTreeMap<String, BTreeMap<u32, String>>,
 }
 
+/// A program that is killed again and again does not fill the disk: so many of its files stay.
+const MOST_FILES: usize = 16;
+
+/// What their names have.
+pub const PROCESS: &str = "-process-";
+
 /// Codes that may have a name.
 const CODES: std::ops::RangeInclusive<u32> = 1..=0xFFFF;
 
@@ -160,12 +166,28 @@ impl Orphan {
         let mut records: Vec<Record> = remains.newest().collect();
         records.reverse();
         let records = super::written_of(records, remains.is_cut());
-        let utc_ns = about.utc_ns;
+        let (utc_ns, directory) = (about.utc_ns, about.directory.clone());
         let mut machine = due.described(about.into_machine());
         machine.about.insert(WRITTEN.to_owned(), written);
         let file = encode(machine, utc_ns, records.iter(), std::iter::empty(), None, 0)?;
         save(&path, &file.bytes)?;
+        remove_oldest(&directory);
         memory.remove()
+    }
+}
+
+/// Of the files of programs that were killed, the newest stay.
+fn remove_oldest(directory: &Path) {
+    let entries = std::fs::read_dir(directory).into_iter().flatten().flatten();
+    let is_one =
+        |name: &String| name.starts_with("fieldbeat-") && name.contains(PROCESS) && name.ends_with(".mcap");
+    let names = entries.filter_map(|entry| entry.file_name().into_string().ok()).filter(is_one);
+    // Their names begin with their times.
+    let mut names: Vec<String> = names.collect();
+    names.sort();
+    for name in &names[..names.len().saturating_sub(MOST_FILES)] {
+        // What somebody else has removed is gone all the same.
+        let _ = std::fs::remove_file(directory.join(name));
     }
 }
 
@@ -173,4 +195,28 @@ impl Orphan {
 fn about(memory: &File) -> Option<(About, Remains<&File>)> {
     let remains = Remains::of(memory).ok()??;
     Some((serde_json::from_slice(&remains.about).ok()?, remains))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_newest_files_of_killed_programs_stay_and_all_others() {
+        let directory = tempfile::tempdir().unwrap();
+        let file = |name: &str| std::fs::write(directory.path().join(name), b"x").unwrap();
+        for second in 0..30 {
+            file(&format!("fieldbeat-20261201T0515{second:02}Z{PROCESS}{}-cycle-7.mcap", 900 - second));
+        }
+        file("fieldbeat-20250101T000000Z-cycle-7.mcap");
+        file("a-process-b.mcap");
+        remove_oldest(directory.path());
+        let names = std::fs::read_dir(directory.path()).unwrap();
+        let mut names: Vec<String> =
+            names.map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
+        names.sort();
+        assert_eq!(names.len(), MOST_FILES + 2);
+        assert_eq!(names[..2], ["a-process-b.mcap", "fieldbeat-20250101T000000Z-cycle-7.mcap"]);
+        assert!(names[2].starts_with("fieldbeat-20261201T051514Z"), "{names:?}");
+    }
 }

@@ -175,7 +175,7 @@ impl BlackBox {
 /// Where the file of `due` goes that is written at this time, and the time as it stands in it.
 fn place(directory: &Path, now: SystemTime, due: &Due, process: Option<u32>) -> (PathBuf, String) {
     let stamp = humantime::format_rfc3339_seconds(now).to_string();
-    let process = process.map_or(String::new(), |process| format!("-process-{process}"));
+    let process = process.map_or(String::new(), |process| format!("{}{process}", left::PROCESS));
     let name = due.file_name(&format!("fieldbeat-{}{process}", stamp.replace([':', '-'], "")));
     (directory.join(name), stamp)
 }
