@@ -122,7 +122,7 @@ fn killed_demos(machine: &Machine, count: u64) -> Vec<u64> {
         let arguments = arguments.map(std::ffi::OsString::from).into_iter();
         let arguments =
             arguments.chain([recording.into(), "--black-box".into(), boxes.as_os_str().to_owned()]);
-        let demo = Program::start(arguments);
+        let demo = Program::start(arguments).leaving_memory();
         assert!(until(LONG, || demo.memory().is_some()), "{}", demo.err());
         sleep(Duration::from_millis(random.u64(100..1_500)));
         let process = demo.pid();

@@ -143,7 +143,8 @@ impl Hosted {
         let config = config(&machine, "m.toml", 2, "", "stop.group = \"all\"");
         let sim = simulation(&config);
         let onlooker = Onlooker::new(&machine);
-        let mut host = Program::spawn(&mut again(HOST, &format!("{what} {}", config.display())));
+        let host = Program::spawn(&mut again(HOST, &format!("{what} {}", config.display())));
+        let mut host = host.leaving_memory();
         host.await_text(UNDER_WAY);
         Hosted { machine, _sim: sim, onlooker, host }
     }
@@ -254,8 +255,9 @@ fn dropped_axes_and_groups_come_to_rest_while_their_host_goes_on() {
         hosted.host.await_text("at rest");
         let sights = hosted.look();
         assert!(sights.iter().all(rests), "{what}: {sights:?}");
-        hosted.host.signal(SIGKILL);
-        hosted.end();
+        let process = hosted.host.pid();
+        drop(hosted);
+        assert!(memory_of(process).map(std::fs::remove_file).is_some(), "it was killed");
     }
 }
 

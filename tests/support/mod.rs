@@ -293,6 +293,7 @@ pub struct Program {
     out: Text,
     err: Text,
     readers: Vec<JoinHandle<()>>,
+    leaves_memory: bool,
 }
 
 type Text = Arc<Mutex<String>>;
@@ -334,7 +335,7 @@ impl Program {
             collect(child.stdout.take().unwrap(), Arc::clone(&out)),
             collect(child.stderr.take().unwrap(), Arc::clone(&err)),
         ];
-        Program { child, out, err, readers }
+        Program { child, out, err, readers, leaves_memory: false }
     }
 
     pub fn pid(&self) -> u32 {
@@ -419,6 +420,7 @@ impl Program {
         for reader in self.readers.drain(..) {
             reader.join().unwrap();
         }
+        self.tidy();
         Ended { code: status.code(), signal: status.signal(), out: self.out(), err: self.err() }
     }
 
@@ -437,6 +439,18 @@ impl Program {
         drop(self);
     }
 
+    /// What it leaves in memory when it is killed stays; else the next program of the same black box would tell of it.
+    pub fn leaving_memory(mut self) -> Program {
+        self.leaves_memory = true;
+        self
+    }
+
+    fn tidy(&self) {
+        if !self.leaves_memory {
+            let _ = self.memory().map(std::fs::remove_file);
+        }
+    }
+
     /// The memory of its records, once it has one.
     pub fn memory(&self) -> Option<PathBuf> {
         memory_of(self.pid())
@@ -450,8 +464,7 @@ impl Drop for Program {
         }
         let _ = self.child.kill();
         let _ = self.child.wait();
-        // The next program of the same black box would tell of it.
-        let _ = self.memory().map(std::fs::remove_file);
+        self.tidy();
     }
 }
 
