@@ -164,12 +164,15 @@ fn what_is_newest_and_a_black_box_are_written_on_request_and_exported_and_what_i
     assert!(wrong.is_none() && count(&entries, "/axes/d0") == count(&entries, "/cycle"), "{wrong:?}");
     let wide = run(["export", file, "--csv", "-"]).expect(0).out.clone();
     assert_eq!(wide.lines().count() as u64, count(&entries, "/cycle") + 1);
-    // A recording is told as well: one of a request, and one of the whole run.
+    // `blackbox` reads a recording as well: one of a request, and one of the whole run.
     for (path, why) in
         [(&requested().unwrap(), "requested, in cycle "), (&newest, "end of the run, in cycle ")]
     {
-        let told = run(["blackbox", path.to_str().unwrap()]).expect(0).out.clone();
-        assert!(told.lines().nth(1).unwrap().starts_with(why) && told.contains("\ndrive d0, mm\n"), "{told}");
+        let printed = run(["blackbox", path.to_str().unwrap()]).expect(0).out.clone();
+        assert!(
+            printed.lines().nth(1).unwrap().starts_with(why) && printed.contains("\ndrive d0, mm\n"),
+            "{printed}"
+        );
     }
 
     run(["export", file, "--pcapng"]).refused(&["has no telegrams", "--record FILE --record-wire"]);

@@ -4,12 +4,13 @@
 //! |---|---|
 //! | Ethernet frames | as they were |
 //! | datagrams | with headers that are made of the addresses of the configuration |
-//! | bytes of connections, handshakes and sessions of the link thread among them | the same; each piece is a segment, numbered from 1 on in both directions |
+//! | bytes of connections | the same; each piece is a segment, numbered from 1 on in both directions |
 //! | a serial wire | a telegram; what is none, too |
 //!
-//! What did not leave is not in it. The packets of a cycle are in the order of their times: a datagram may have come
-//! before the requests of the cycle that took it in. Times are UTC, by the difference to the clock of the loop that the
-//! recording has, which was taken once, at its start.
+//! The handshakes and sessions of the link thread are among the bytes of connections. What did not leave is not in it.
+//! The packets of a cycle are in the order of their times: a datagram may have come before the requests of the cycle
+//! that took it in. Times are UTC, by the difference to the clock of the loop that the recording has, which was taken
+//! once, at its start.
 
 use std::collections::HashMap;
 use std::io::{self, Write};

@@ -13,8 +13,8 @@ use super::{Stop, complain, print, show};
 /// Arguments of `blackbox`.
 #[derive(Debug, Args)]
 pub struct BlackBox {
-    /// A file that the master wrote at a fault, a lost drive, another stop, or SIGUSR1; or any recording, of which its
-    /// end is told.
+    /// A file that the master wrote at a fault, a lost drive, another stop, or SIGUSR1; or any recording: what led to
+    /// its end.
     #[arg(required_unless_present = "list", conflicts_with = "list")]
     file: Option<PathBuf>,
     /// List the files of the directory to which the master writes them, the newest first.

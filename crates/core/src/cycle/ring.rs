@@ -1,5 +1,5 @@
-//! The ring of the loop's records: one thread writes, another one reads. What was read stays until its slot is written
-//! anew: the newest records are at hand without a copy, and where the memory has a name, they outlive the process.
+//! The ring of the loop's records: one thread writes, another one reads. What was read stays until its slot is used
+//! again: the newest records are at hand without a copy, and where the memory has a name, they outlive the process.
 //!
 //! A slot is written before it is announced, so that a process may end at any instant: what is announced is whole.
 
@@ -26,7 +26,7 @@ const ABOUT: usize = 4096;
 /// More is no description of a machine.
 const MOST_ABOUT: usize = 16 << 20;
 
-/// The begin of the memory. Another process reads it.
+/// The first page of the memory. Another process reads it.
 #[derive(Debug)]
 #[repr(C)]
 struct Head {
@@ -531,7 +531,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_read_stays_until_its_slot_is_written_anew() {
+    fn what_was_read_stays_until_its_slot_is_used_again() {
         let (mut writer, mut reader, _) =
             super::records(4, Kept { records: 3, about: None }, &mut Regions::new());
         assert!((0..4).all(|index| writer.push(cycle(index))) && !writer.push(cycle(9)));
@@ -548,6 +548,27 @@ mod tests {
         // Without anybody who reads, the newest replace the oldest.
         drop(reader);
         assert!((9..100).all(|index| writer.push(cycle(index))));
+    }
+
+    #[test]
+    fn an_orderly_end_of_the_loop_takes_the_name_away_and_a_reader_that_panics_keeps_it() {
+        for panics in [false, true] {
+            let kept = Kept { records: 3, about: Some(Vec::new()) };
+            let (writer, reader, _) = super::records(4, kept, &mut Regions::new());
+            let Some(path) = reader.shared.mapping.path().map(ToOwned::to_owned) else {
+                return println!("no named memory here");
+            };
+            if panics {
+                let read = std::panic::AssertUnwindSafe(move || {
+                    let _reader = reader;
+                    std::panic::resume_unwind(Box::new("on purpose"));
+                });
+                assert!(std::panic::catch_unwind(read).is_err());
+            }
+            drop(writer);
+            assert_eq!(path.exists(), panics);
+            let _ = std::fs::remove_file(path);
+        }
     }
 
     #[test]

@@ -35,7 +35,7 @@ const _: () = {
     }
 };
 
-/// A value at the begin of bytes.
+/// A value in the first bytes of some.
 trait Stored: Sized {
     /// The value; `None` if the bytes are too few, or mean nothing.
     fn load(bytes: &[u8]) -> Option<Self>;

@@ -68,11 +68,11 @@ impl LinkTap {
 
     /// Peers whose connections pass it, of this bus.
     pub(super) fn around(&self, bus: u8, peers: Vec<StreamPeer>) -> Vec<StreamPeer> {
-        let around = |(index, mut peer): (usize, StreamPeer)| {
-            let inner = mem::replace(&mut peer.handshake, Box::new(Nobody));
+        let around = |(index, peer): (usize, StreamPeer)| {
             let (tap, index, address) = (self.clone(), index as u16, peer.address);
-            peer.handshake = Box::new(Tapped { inner, tap, bus, index, peer: address, is_open: false });
-            peer
+            let inner = peer.handshake;
+            let tapped = Tapped { inner, tap, bus, index, peer: address, is_open: false };
+            StreamPeer { handshake: Box::new(tapped), ..peer }
         };
         peers.into_iter().enumerate().map(around).collect()
     }
@@ -160,19 +160,5 @@ impl Handshake for Tapped {
 
     fn has_ended(&self) -> bool {
         self.inner.has_ended()
-    }
-}
-
-/// In the place of one for a moment.
-#[derive(Debug)]
-struct Nobody;
-
-impl Handshake for Nobody {
-    fn begin(&mut self, _now: Time, _out: &mut Vec<u8>) -> HandshakeState {
-        HandshakeState::Done
-    }
-
-    fn take(&mut self, _now: Time, _bytes: &[u8], _out: &mut Vec<u8>) -> HandshakeState {
-        HandshakeState::Done
     }
 }

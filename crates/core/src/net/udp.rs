@@ -126,8 +126,8 @@ impl Udp {
     }
 
     /// One `sendmmsg`. Its messages are sent, or charged with their own error; the call resumes after a failing one,
-    /// and each turn settles at least one. All that are sent are stamped with the begin of the batch, so that round
-    /// trips are never shown shorter than they are.
+    /// and each turn settles at least one. All that are sent are stamped with the time at which the batch begins, so
+    /// that round trips are never shown shorter than they are.
     fn send_batch(&self, outbox: &mut Outbox, indices: &[usize]) {
         let mut peers = [const { MaybeUninit::<libc::sockaddr_in>::uninit() }; SEND_BATCH];
         let mut slices = [const { MaybeUninit::<libc::iovec>::uninit() }; SEND_BATCH];

@@ -100,7 +100,7 @@ pub fn header(plan: &Plan) -> Header {
     Header { axes: axes.collect(), ..Header::of(about).unwrap_or_default() }
 }
 
-/// Reads a file. What no black box wrote is told up to its end.
+/// Reads a file. Of one that no black box wrote, the cause is its end.
 pub fn load(path: &Path) -> Result<(Header, Vec<Record>), Wrong> {
     read(load_header(path)?, Reading::open(path)?)
 }
@@ -264,7 +264,7 @@ impl Loading {
         MonitorRecord { index, axis, shown: shown.into() }
     }
 
-    /// The name of its fault, and an emergency: all else is told by the records of the drives.
+    /// The name of its fault, and an emergency: all else follows from the records of the drives.
     fn event(&mut self, entry: &Entry, index: u64) -> Option<Record> {
         let axis = *self.places.get(&entry.text("axis_name"))?;
         let (code, name) = (short(entry.number("code")), entry.text("code_name"));

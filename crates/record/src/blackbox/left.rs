@@ -18,7 +18,7 @@ use fieldbeat_core::rt::MonotonicClock;
 use fieldbeat_core::rt::mapping::{Found, Left};
 use fieldbeat_core::time::nanos;
 
-/// What stands in the memory beside the records.
+/// What the memory has beside the records.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct About {
     /// Where the black box of the program wrote its files.
