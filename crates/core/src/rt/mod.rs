@@ -3,6 +3,7 @@
 //! | file | what |
 //! |---|---|
 //! | `clock` | now, absolute sleep, wait for descriptors; the seam to virtual time |
+//! | `confine` | what a thread gives up once it needs it no longer |
 //! | `guard` | how long before a grid point the loop wakes to spin up to it |
 //! | `host` | facts about this host, for the summary |
 //! | `mapping` | memory that outlives its process |
@@ -14,6 +15,7 @@
 //! | `wires` | who may use the wires: the loop, or the watch that has taken them |
 
 pub mod clock;
+pub mod confine;
 pub mod guard;
 pub mod host;
 pub mod mapping;
