@@ -23,7 +23,7 @@ use crossbeam_channel::{Receiver, unbounded};
 use fieldbeat::telemetry::{Cause, Causes, Judged, Stage};
 use fieldbeat::time::{MS, Time, US};
 use fieldbeat::{CyclePlan, Guard, Master, Memory, Realtime};
-use fieldbeat_core::rt::thread::{enter, helper_thread};
+use fieldbeat_core::rt::thread::{enter, stand_aside};
 use fieldbeat_core::rt::{Clock, MonotonicClock, RealtimePlan, Regions};
 use libc::{SIGCONT, SIGSTOP};
 use support::hold::{Hold, thread};
@@ -164,7 +164,7 @@ impl Bench {
             })
             .start()
             .unwrap();
-        helper_thread(master.granted().core);
+        stand_aside(master.granted().core);
         master.wait_online(LONG).unwrap();
         Bench { _machine: machine, _first, second, master, tasks }
     }

@@ -14,7 +14,7 @@ use std::time::Duration;
 
 use fieldbeat::sim::server::ServerOptions;
 use fieldbeat::{Master, Memory, Realtime};
-use fieldbeat_core::rt::thread::{helper_thread, spare_core};
+use fieldbeat_core::rt::thread::{spare_core, stand_aside};
 use support::adventures::{Adventures, VICTIM, drives_and_errors};
 use support::controller::{self, RAMP, TARGET, Way};
 use support::counting::{Counting, count, watch};
@@ -195,7 +195,7 @@ fn a_million_cycles_neither_fault_nor_allocate_whatever_happens() {
     });
     // The drives are threads of this process: out of the way of the loop, and not in that of anybody else.
     let core = master.granted().core;
-    helper_thread(core);
+    stand_aside(core);
     let options = ServerOptions { core: spare_core(core), priority: Some(70) };
     let axes = master.plan().axes().into_iter().map(|axis| master.axis(&axis.name).unwrap()).collect();
     let mut adventures = Adventures::begin(&machine, &config, axes, options);

@@ -9,6 +9,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
+use fieldbeat_core::rt::confine::{Keep, give_up_rights};
 use fieldbeat_master::{ENDING, StopHandle, action_of};
 use libc::c_int;
 use nix::sys::signal::{SigSet, SigmaskHow};
@@ -77,6 +78,7 @@ impl Interrupt {
         std::thread::Builder::new()
             .name("fb-signals".into())
             .spawn(move || {
+                give_up_rights(Keep::Nothing);
                 loop {
                     if fresh.swap(false, Ordering::Relaxed) {
                         handle.stop();

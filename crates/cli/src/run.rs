@@ -8,7 +8,7 @@ use fieldbeat_config::{Loaded, load_machine};
 use fieldbeat_control::Station;
 use fieldbeat_core::axis::Axis;
 use fieldbeat_core::bus::diagnosis::NOT_YET;
-use fieldbeat_core::rt::thread::helper_thread;
+use fieldbeat_core::rt::thread::stand_aside;
 use fieldbeat_core::time::MS;
 use fieldbeat_master::{Master, Setup};
 use fieldbeat_record::summary::{Drive, Summary};
@@ -73,9 +73,9 @@ pub fn all_axes(master: &Master) -> Result<Vec<Axis>, Stop> {
 
 /// Starts the machine; a signal from here on stops it in order.
 pub fn start(setup: Setup, interrupt: &Interrupt) -> Result<Master, Stop> {
-    let master = setup.start().map_err(Stop::usage)?;
+    let master = setup.confine().start().map_err(Stop::usage)?;
     // This thread, and those it starts from here on, wake often enough to be felt on the loop's core.
-    helper_thread(master.granted().core);
+    stand_aside(master.granted().core);
     interrupt.stops(master.stop_handle()).map_err(Stop::failed)?;
     for line in &master.granted().missing {
         complain(&format!("not real-time: {line}"));

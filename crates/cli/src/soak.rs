@@ -7,7 +7,7 @@ use clap::Args;
 use fieldbeat_config::soak::SoakPlan;
 use fieldbeat_config::{Configuration, Loaded, load_machine};
 use fieldbeat_core::cycle::Plan;
-use fieldbeat_core::rt::thread::helper_thread;
+use fieldbeat_core::rt::thread::file_thread;
 use fieldbeat_core::time::{S, nanos};
 use fieldbeat_master::Master;
 use fieldbeat_record::Summary;
@@ -96,7 +96,7 @@ impl SoakTest {
         let _server = serving.serve(&master).map_err(not_begun)?;
         progress.begin();
         let core = master.granted().core;
-        let writer = Writer::start(directory.clone(), move || helper_thread(core));
+        let writer = Writer::start(directory.clone(), move || file_thread(core));
         let writer = writer.map_err(Stop::failed).map_err(not_begun)?;
         let handler = Handler::new(&master, &interrupt);
         let every_ns = nanos(self.checkpoint).max(S / 10);

@@ -29,6 +29,7 @@ use super::protocol::{Exchange, LOOK_EVERY, connect};
 use super::watch::MOST_WATCHERS;
 use fieldbeat_core::errors::no_descriptor;
 use fieldbeat_core::net::clients::{Client, Clients};
+use fieldbeat_core::rt::confine::{self, serve_only};
 
 /// A client has so long to send its request, and so long to take the answer.
 const PATIENCE: Duration = Duration::from_secs(1);
@@ -185,12 +186,12 @@ fn places(urgency: Urgency) -> usize {
 }
 
 impl Server {
-    /// Answers at `path`, each conversation on a thread of its own, on which `prepare` runs first. What it answers to
-    /// the questions of a conversation says what `open` makes for it; that is dropped at its end. A socket that a dead
-    /// process left behind is replaced.
+    /// Answers at `path`, each conversation on a thread of its own. `prepare` runs before, on the thread that starts
+    /// these: what it does to that one holds for them. What it answers to the questions of a conversation says what
+    /// `open` makes for it; that is dropped at its end. A socket that a dead process left behind is replaced.
     pub fn start<A: Answering>(
         path: &Path,
-        prepare: impl Fn() + Send + Sync + 'static,
+        prepare: impl FnOnce() + Send + 'static,
         open: impl Fn() -> A + Send + Sync + 'static,
     ) -> Result<Server, ServeError> {
         let failed = |error| ServeError::Io { path: path.to_owned(), error };
@@ -204,12 +205,13 @@ impl Server {
             .name("fb-control".into())
             .spawn(move || {
                 prepare();
+                // Without filters it answers all the same; the start and the doctor say so.
+                let _ = serve_only(confine::Server::Control);
                 let go_on = || !ending.load(Ordering::Acquire);
                 let slow = AtomicUsize::new(0);
                 let serve_one = |client: Client<UnixStream>, conversation: Arc<Conversation>| {
                     // Whoever went away or sends nonsense is not answered, and that is all.
                     let work = AssertUnwindSafe(|| {
-                        prepare();
                         let mut answering = open();
                         let _ = converse(client, &go_on, &conversation, &slow, &mut answering);
                         conversation.left.store(true, Ordering::Relaxed);

@@ -174,6 +174,7 @@ impl Watch {
         let (ours, theirs) = UnixStream::pair().map_err(|error| error.to_string())?;
         let (core, axes) = (self.monitor.granted().core, about.header.axes.len());
         let run = move || {
+            // Already so on a thread of a server, whose filter refuses it.
             helper_thread(core);
             let mut send = |bytes: &[u8]| Exchange::new(&ours, PATIENCE_OF_STREAM, &|| true)?.send(bytes);
             // It ends when nobody reads any more.

@@ -61,6 +61,7 @@ pub struct Setup {
     /// With the file that it writes.
     sink: Option<(PathBuf, Box<dyn Sink>)>,
     stop_on_signals: bool,
+    confine: bool,
 }
 
 impl std::fmt::Debug for Setup {
@@ -404,6 +405,23 @@ impl Setup {
         self
     }
 
+    /// Takes the rights of the thread that calls [`start`](Setup::start) from it, once the loop runs: that thread, and
+    /// the threads and programs that it starts from then on, have no capabilities (capabilities(7)) and gain none by a
+    /// file that they execute (no_new_privs, prctl(2)). Nothing gives them back. For a `main` that opens what needs a
+    /// right before the start.
+    ///
+    /// Two capabilities stay with whoever has them: CAP_DAC_OVERRIDE, with which root writes into directories of
+    /// others, and CAP_IPC_LOCK while a limit of locked memory is set (RLIMIT_MEMLOCK), without which memory that is
+    /// locked as a whole could not grow. The user, the groups, the limits and what is open stay as well: a limit of
+    /// priorities (RLIMIT_RTPRIO) still lets a second master run in real time, a capability does not.
+    ///
+    /// Threads that the program has started before are never touched. The threads of the master give up theirs in any
+    /// case, the loop and with it the in-loop task too.
+    pub fn confine(mut self) -> Setup {
+        self.confine = true;
+        self
+    }
+
     /// Opens the buses and starts the loop. When it returns, nothing but the first probes has been sent.
     pub fn start(mut self) -> Result<Master, StartError> {
         self.plan.check()?;
@@ -447,7 +465,7 @@ impl Setup {
         realtime: RealtimePlan,
         mut regions: Regions,
     ) -> Result<Master, StartError> {
-        let Setup { plan, task, black_box, sink, stop_on_signals, .. } = self;
+        let Setup { plan, task, black_box, sink, stop_on_signals, confine, .. } = self;
         let has_task = task.is_some();
         if stop_on_signals {
             process::catch_signals(realtime.core_to_be()).map_err(StartError::Thread)?;
@@ -514,7 +532,7 @@ impl Setup {
         // A kernel that does not report it leaves more cycles without a known cause.
         let watch = ThreadWatch::open(tid, core).ok();
         let measured = Measured::new(&plan.units(), &plan.cycle, has_task);
-        let aside = move || rt::thread::helper_thread(core);
+        let aside = move || rt::thread::file_thread(core);
         let taps = Taps::default();
         let feed = sink.map(|(path, mut sink)| {
             sink.begin(utc_ns(MonotonicClock::read()));
@@ -538,6 +556,9 @@ impl Setup {
             telemetry.gathered().failed(&what, false);
         }
         let monitor = Monitor::new(plan, granted, gauges, Arc::clone(telemetry.gathered()), steal_before_ms);
+        if confine {
+            rt::confine::give_up_rights(rt::confine::Keep::Files);
+        }
         Ok(Master {
             axes: Mutex::new(axes.into_iter().map(Some).collect()),
             devices: Mutex::new(devices),

@@ -22,6 +22,7 @@ use fieldbeat_core::cycle::status::{Gauges, Numbers, Status};
 use fieldbeat_core::cycle::{Plan, PlanErrors};
 use fieldbeat_core::logged::{LoggedCarriers, LoggedClock};
 use fieldbeat_core::net::Carriers;
+use fieldbeat_core::rt::confine::{self, give_up_rights};
 use fieldbeat_core::rt::{Clock, Granted, Regions, Wires};
 use fieldbeat_core::time::nanos;
 use fieldbeat_sim::world::{World, WorldClock, WorldOptions};
@@ -193,6 +194,7 @@ impl Simulation {
         let thread = std::thread::Builder::new()
             .name("fb-loop".into())
             .spawn(move || {
+                give_up_rights(confine::Keep::Nothing);
                 let (begun, virtual_begun) = (Instant::now(), engine.clock().inner().now());
                 while engine.step() == Flow::Continue {
                     let passed = engine.clock().inner().now().since(virtual_begun) as f64 / speed;
@@ -205,8 +207,9 @@ impl Simulation {
             })
             .map_err(StartError::Thread)?;
         let feed = sink.map(|(path, sink)| Feed::new(path, sink, &taps));
-        let started = TelemetryThread::start(records, measured, taps, None, self.black_box, || {})
-            .and_then(|telemetry| telemetry.feed(feed, self.gauges.status.clone(), || {}));
+        let aside = || give_up_rights(confine::Keep::Files);
+        let started = TelemetryThread::start(records, measured, taps, None, self.black_box, aside)
+            .and_then(|telemetry| telemetry.feed(feed, self.gauges.status.clone(), aside));
         let telemetry = match started {
             Ok(telemetry) => telemetry,
             Err(error) => {

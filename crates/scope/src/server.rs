@@ -31,8 +31,9 @@ use super::assets;
 use super::client::{self, Hub, MOST_BYTES};
 use super::feed::{Control, Feed, Source};
 use super::rules::{PROTOCOL, Refusal, Rules};
+use fieldbeat_core::rt::confine::{self, serve_only};
 use fieldbeat_core::rt::host;
-use fieldbeat_core::rt::thread::helper_thread;
+use fieldbeat_core::rt::thread::file_thread;
 use fieldbeat_record::metrics::{Address, remedy};
 
 /// Browsers at a time.
@@ -170,7 +171,10 @@ impl Server {
         work: impl FnOnce() + Send + 'static,
     ) -> Result<(), ScopeError> {
         let work = move || {
-            helper_thread(core_of_loop);
+            // Root looks at the masters of all users.
+            file_thread(core_of_loop);
+            // Without filters the page is served all the same; the start and the doctor say so.
+            let _ = serve_only(confine::Server::Scope);
             work();
         };
         let thread = std::thread::Builder::new().name(name.into()).spawn(work).map_err(ScopeError::Thread)?;

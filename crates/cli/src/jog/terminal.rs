@@ -7,6 +7,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use crossbeam_channel::Receiver;
+use fieldbeat_core::rt::confine::{Keep, give_up_rights};
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use nix::sys::termios::{FlushArg, tcflush};
 use ratatui::Terminal as Screen;
@@ -165,6 +166,7 @@ fn answer(said: &[u8], end: u8) -> Option<&[u8]> {
 fn read() -> io::Result<Receiver<(Instant, Event)>> {
     let (tell, events) = crossbeam_channel::bounded(MOST_EVENTS);
     std::thread::Builder::new().name("fb-keys".into()).spawn(move || {
+        give_up_rights(Keep::Nothing);
         while let Ok(event) = event::read() {
             // With no room the panel hangs, and what was typed meanwhile counts for nothing.
             if let Err(crossbeam_channel::TrySendError::Disconnected(_)) =

@@ -1,7 +1,17 @@
-//! What a thread gives up once it needs it no longer: system calls that it never makes.
+//! What a thread gives up once it needs it no longer: rights, and system calls.
 //!
 //! Both hold for the calling thread and for whatever it starts from then on, never for another thread, and nothing
-//! takes them back.
+//! takes them back. What is kept after the start, and why:
+//!
+//! | thread | keeps |
+//! |---|---|
+//! | the loop, the watch, the signals, the operation of axes, metrics, control | nothing: sockets are open, priorities set |
+//! | the link thread | [`Keep::Files`], for a serial port that is opened again; a connection needs no right |
+//! | telemetry, recorder, black box, checkpoints, the scope, who called the start | [`Keep::Files`] |
+//! | simulated drives | nothing: low ports and raw frames are open for good, over a pulled cable and a restarted drive |
+//!
+//! All of them keep CAP_IPC_LOCK where a limit of locked memory is set: of a process that is locked as a whole the
+//! kernel counts whatever a thread allocates from then on against that limit, unless the thread has this right.
 
 use std::collections::BTreeMap;
 use std::io;
@@ -12,51 +22,69 @@ use seccompiler::{
     SeccompFilter, SeccompRule, TargetArch,
 };
 
-/// What every thread calls without being asked: the C library and Rust's own, for memory, locks, clocks and the end.
-pub const OF_EVERY_THREAD: [c_long; 21] = [
-    // Memory.
-    libc::SYS_brk,
-    libc::SYS_madvise,
-    libc::SYS_mmap,
-    libc::SYS_mprotect,
-    libc::SYS_mremap,
-    libc::SYS_munmap,
-    // Locks, channels, `park`.
-    libc::SYS_futex,
-    libc::SYS_sched_yield,
-    // Clocks, where the vDSO cannot read them, and sleeps.
-    libc::SYS_clock_gettime,
-    libc::SYS_clock_nanosleep,
-    libc::SYS_nanosleep,
-    // Its own name, number and stack: a panic prints them.
-    libc::SYS_getpid,
-    libc::SYS_gettid,
-    libc::SYS_sigaltstack,
-    // Messages to stderr; whatever was opened before.
-    libc::SYS_write,
-    // Handlers of signals, and what aborts.
-    libc::SYS_restart_syscall,
-    libc::SYS_rt_sigprocmask,
-    libc::SYS_rt_sigreturn,
-    libc::SYS_tgkill,
-    // The end.
-    libc::SYS_exit,
-    libc::SYS_exit_group,
-];
+use super::rights::{Capability, memlock_limit};
 
-/// What a thread calls in addition that starts others.
-pub const TO_START_THREADS: [c_long; 7] = [
-    libc::SYS_clone,
-    // Before glibc 2.34 it was `clone`; a refusal by EPERM is not answered by a second attempt.
-    libc::SYS_clone3,
-    libc::SYS_rseq,
-    libc::SYS_set_robust_list,
-    // Its name.
-    libc::SYS_prctl,
-    // The size of the main thread's stack.
-    libc::SYS_prlimit64,
-    libc::SYS_sched_getaffinity,
-];
+#[cfg(any(target_arch = "x86_64", target_arch = "aarch64", target_arch = "riscv64"))]
+mod calls;
+/// There are no filters for this architecture.
+#[cfg(not(any(target_arch = "x86_64", target_arch = "aarch64", target_arch = "riscv64")))]
+mod calls {
+    use super::Only;
+
+    pub const OF_EVERY_THREAD: &[libc::c_long] = &[];
+    pub const TO_START_THREADS: &[libc::c_long] = &[];
+    pub const TO_SERVE: &[libc::c_long] = &[];
+    pub const TO_REACH_A_MASTER: &[libc::c_long] = &[];
+    pub const READING: &[Only] = &[];
+    pub const UNIX_SOCKETS: &[Only] = &[];
+}
+
+pub use calls::{OF_EVERY_THREAD, TO_START_THREADS};
+use calls::{READING, TO_REACH_A_MASTER, TO_SERVE, UNIX_SOCKETS};
+
+/// What a thread keeps of the rights of its process.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Keep {
+    /// Nothing.
+    Nothing,
+    /// CAP_DAC_OVERRIDE, if root has it: it writes where root was asked to write, whoever owns the directory.
+    Files,
+}
+
+/// Takes all capabilities but those that it is to `keep` from the calling thread, and lets nothing that it executes
+/// gain any (PR_SET_NO_NEW_PRIVS). Whoever has none loses none.
+pub fn give_up_rights(keep: Keep) {
+    // Cannot fail since Linux 3.5; refused by a filter around the process, the thread is as free as that lets it be.
+    let _ = nix::sys::prctl::set_no_new_privs();
+    let of_files = (keep == Keep::Files).then_some(Capability::DacOverride);
+    let of_memory = memlock_limit().is_some().then_some(Capability::IpcLock);
+    let kept = of_files.into_iter().chain(of_memory).fold(0, |set, right| set | 1_u64 << right as u32);
+    // Fewer rights than before are never refused, but by such a filter.
+    let _ = keep_capabilities(kept);
+}
+
+/// Reduces the capabilities of the calling thread to those of this set (capset(2)); the ambient ones follow.
+fn keep_capabilities(kept: u64) -> io::Result<()> {
+    /// Effective, permitted and inheritable ones; the lower 32 of them, and the upper ones.
+    type Sets = [[u32; 3]; 2];
+    // _LINUX_CAPABILITY_VERSION_3 of linux/capability.h; and 0, the calling thread.
+    let mut header: [u32; 2] = [0x2008_0522, 0];
+    let mut sets = Sets::default();
+    // SAFETY: the kernel reads and writes the header, and writes both halves of the sets.
+    if unsafe { libc::syscall(libc::SYS_capget, header.as_mut_ptr(), sets.as_mut_ptr()) } != 0 {
+        return Err(io::Error::last_os_error());
+    }
+    for (half, sets) in sets.iter_mut().enumerate() {
+        for set in sets {
+            *set &= (kept >> (32 * half)) as u32;
+        }
+    }
+    // SAFETY: the kernel reads the header and both halves of the sets.
+    match unsafe { libc::syscall(libc::SYS_capset, header.as_mut_ptr(), sets.as_ptr()) } {
+        0 => Ok(()),
+        _ => Err(io::Error::last_os_error()),
+    }
+}
 
 /// A system call that is allowed if one of its arguments, counted from 0, has this `value` where `mask` has ones.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -71,13 +99,48 @@ pub struct Only {
     pub value: u32,
 }
 
-/// Opens files that exist, for reading.
-pub const OPEN_TO_READ: Only = Only {
-    call: libc::SYS_openat,
-    argument: 2,
-    mask: (libc::O_ACCMODE | libc::O_CREAT | libc::O_TRUNC) as u32,
-    value: libc::O_RDONLY as u32,
-};
+/// Who serves others, and so reads what they send.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Server {
+    /// The metrics: HTTP, on one thread.
+    Metrics,
+    /// The control socket: a thread a conversation.
+    Control,
+    /// The page in the browser: HTTP and websockets, and what feeds it from a master in another process.
+    Scope,
+}
+
+/// Leaves to the calling thread, and to those that it starts, what a server needs to answer on sockets that are open:
+/// it opens no file for writing, executes nothing, and makes no socket; the scope makes those to masters of this
+/// computer.
+///
+/// # Errors
+///
+/// As of [`allow_only`].
+pub fn serve_only(server: Server) -> io::Result<()> {
+    let mut calls = [OF_EVERY_THREAD, TO_SERVE].concat();
+    let mut only = READING.to_vec();
+    match server {
+        Server::Metrics => {}
+        Server::Control => calls.extend(TO_START_THREADS),
+        Server::Scope => {
+            calls.extend(TO_START_THREADS);
+            calls.extend(TO_REACH_A_MASTER);
+            only.extend(UNIX_SOCKETS);
+        }
+    }
+    allow_only(&calls, &only)
+}
+
+/// Whether this kernel, and the container around this process, let a thread give up system calls.
+///
+/// # Errors
+///
+/// They do not, or there are no filters for this architecture.
+pub fn can_filter() -> io::Result<()> {
+    let tried = || allow_only(OF_EVERY_THREAD, &[]);
+    std::thread::Builder::new().name("fb-filter".into()).spawn(tried)?.join().unwrap_or(Ok(()))
+}
 
 /// Refuses the calling thread, and what it starts, every system call but `calls` (seccomp(2)). A refused one fails with
 /// EPERM: it is an error of the one request that led to it, and the thread goes on for the others.
@@ -112,56 +175,4 @@ pub fn allow_only(calls: &[c_long], only: &[Only]) -> io::Result<()> {
 }
 
 #[cfg(test)]
-mod tests {
-    use std::fs::File;
-
-    use super::*;
-
-    /// Whether the calling thread may open a file for reading, and for writing.
-    fn opens() -> [Option<i32>; 2] {
-        let refused = |opened: io::Result<File>| opened.err().and_then(|error| error.raw_os_error());
-        [refused(File::open("/dev/null")), refused(File::options().write(true).open("/dev/null"))]
-    }
-
-    fn no_new_privileges() -> bool {
-        nix::sys::prctl::get_no_new_privs().unwrap()
-    }
-
-    #[test]
-    #[cfg_attr(
-        not(any(target_arch = "x86_64", target_arch = "aarch64", target_arch = "riscv64")),
-        ignore = "needs filters of system calls for this architecture"
-    )]
-    fn a_filter_refuses_what_it_does_not_list_to_its_thread_and_to_those_that_it_starts() {
-        let before = no_new_privileges();
-        std::thread::spawn(|| {
-            let calls = [&OF_EVERY_THREAD[..], &TO_START_THREADS, &[libc::SYS_close]].concat();
-            assert_eq!(opens(), [None; 2]);
-            allow_only(&calls, &[OPEN_TO_READ]).unwrap();
-            assert_eq!(opens(), [None, Some(libc::EPERM)]);
-            assert!(no_new_privileges());
-            let started = std::thread::Builder::new().name("started".to_owned()).spawn(opens).unwrap();
-            assert_eq!(started.join().unwrap(), [None, Some(libc::EPERM)]);
-        })
-        .join()
-        .unwrap();
-        assert_eq!((opens(), no_new_privileges()), ([None; 2], before));
-    }
-
-    #[test]
-    #[cfg_attr(
-        not(any(target_arch = "x86_64", target_arch = "aarch64", target_arch = "riscv64")),
-        ignore = "needs filters of system calls for this architecture"
-    )]
-    fn a_filter_is_added_to_those_before_it() {
-        std::thread::spawn(|| {
-            let calls =
-                [&OF_EVERY_THREAD[..], &[libc::SYS_close, libc::SYS_seccomp, libc::SYS_prctl]].concat();
-            allow_only(&calls, &[OPEN_TO_READ]).unwrap();
-            allow_only(&calls, &[]).unwrap();
-            assert_eq!(opens(), [Some(libc::EPERM); 2]);
-        })
-        .join()
-        .unwrap();
-    }
-}
+mod tests;

@@ -12,9 +12,11 @@ use nix::sys::resource::{RLIM_INFINITY, Resource, getrlimit};
 /// watchdog), which must be able to interrupt it.
 const GRANTED_RTPRIO: u8 = 95;
 
-/// A capability of the effective set (capabilities(7)); the value is its bit.
+/// A capability (capabilities(7)); the value is its bit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Capability {
+    /// CAP_DAC_OVERRIDE: files of other users, whatever their mode.
+    DacOverride = 1,
     /// CAP_IPC_LOCK: lock any amount of memory.
     IpcLock = 14,
     /// CAP_SYS_NICE: any scheduling policy and priority.

@@ -12,6 +12,7 @@ use nix::sched::{CpuSet, sched_setaffinity};
 use nix::sys::signal::{SigSet, Signal};
 use nix::unistd::Pid;
 
+use super::confine::{Keep, give_up_rights};
 use super::memory::{self, Regions};
 use super::rights::{Capability, Denied, holds, rtprio_limit};
 use super::{Memory, Realtime};
@@ -81,7 +82,8 @@ pub enum RealtimeError {
 crate::debug_as_display!(RealtimeError);
 
 /// Turns the calling thread into the loop's: pinned, SCHED_FIFO, memory locked and the stack present, in that order, so
-/// that memory is made present from the core that will use it, and a refused thread leaves nothing locked behind.
+/// that memory is made present from the core that will use it, and a refused thread leaves nothing locked behind. Then
+/// it gives up its rights.
 ///
 /// `own` is what [`Memory::Own`] locks; [`Memory::Process`] does not use it. [`Realtime::Off`] does no more than
 /// pin the thread to a core that was named by number.
@@ -123,6 +125,7 @@ pub fn enter(plan: &RealtimePlan, own: &Regions) -> Result<Granted, RealtimeErro
         })?;
     }
     let (policy, priority) = scheduling();
+    give_up_rights(Keep::Nothing);
     Ok(Granted { policy, priority, core, memory_locked, missing })
 }
 
@@ -139,11 +142,25 @@ fn deaf() {
     let _ = signals.thread_block();
 }
 
-/// Keeps the calling normal thread out of the loop's way: SCHED_OTHER, and every core that it may use but the loop's.
-/// Where there is no other core, or none is known, it stays where it is.
+/// Keeps the calling normal thread out of the loop's way, and takes its rights from it: it neither writes files of its
+/// user nor opens what needs one.
 ///
 /// To be called on threads started by a normal thread: one started by the pinned loop knows no other core.
 pub fn helper_thread(core_of_loop: Option<usize>) {
+    stand_aside(core_of_loop);
+    give_up_rights(Keep::Nothing);
+}
+
+/// The same for a thread that opens files after the start.
+pub fn file_thread(core_of_loop: Option<usize>) {
+    stand_aside(core_of_loop);
+    give_up_rights(Keep::Files);
+}
+
+/// Keeps the calling normal thread out of the loop's way: SCHED_OTHER, and every core that it may use but the loop's.
+/// Where there is no other core, or none is known, it stays where it is. It keeps its rights, as a thread of the host
+/// program has to.
+pub fn stand_aside(core_of_loop: Option<usize>) {
     // Lowering oneself needs no right, so that this cannot fail.
     let _ = set_scheduler(libc::SCHED_OTHER, 0);
     // Refused if no core is left, and then the old ones stay.
@@ -156,11 +173,12 @@ pub fn helper_thread(core_of_loop: Option<usize>) {
 ///
 /// To be called on threads started by a normal thread, as [`helper_thread`].
 pub fn watch_thread(of_loop: &Granted) {
-    helper_thread(of_loop.core);
+    stand_aside(of_loop.core);
     let above = of_loop.priority.saturating_add(1).min(99);
     if of_loop.policy != "SCHED_FIFO" || (fifo(above).is_err() && fifo(of_loop.priority).is_err()) {
         prompt();
     }
+    give_up_rights(Keep::Nothing);
 }
 
 /// A core for work that must not disturb the loop but has its own deadlines, such as simulated drives: the first

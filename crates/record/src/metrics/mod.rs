@@ -145,6 +145,8 @@ impl Endpoint {
         let server = Server(Arc::clone(&shared));
         let serve = move || {
             rt::thread::helper_thread(monitor.granted().core);
+            // Without filters the page is served all the same; the start and the doctor say so.
+            let _ = rt::confine::serve_only(rt::confine::Server::Metrics);
             shared.serve(&|| page::page(&monitor), &|| {
                 monitor.failed(
                     "internal error: the page for Prometheus panicked; the run goes on; please report it",

@@ -173,5 +173,8 @@ fn schedule(options: ServerOptions) -> bool {
     // An ordinary thread's late sleeps would blur every answer time.
     rt::thread::prompt();
     let pinned = options.core.is_none_or(|core| rt::thread::pin(core).is_ok());
-    options.priority.is_some_and(|priority| rt::thread::fifo(priority).is_ok()) && pinned
+    let prompt = options.priority.is_some_and(|priority| rt::thread::fifo(priority).is_ok());
+    // Its sockets and ports stay open, over restarts of the drives and over a pulled cable.
+    rt::confine::give_up_rights(rt::confine::Keep::Nothing);
+    prompt && pinned
 }

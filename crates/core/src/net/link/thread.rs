@@ -144,7 +144,8 @@ impl LinkThread {
         let thread = Builder::new().name("fb-link".into()).spawn(move || {
             // Dropped last, also by a panic.
             let _end = end;
-            rt::thread::helper_thread(core_of_loop);
+            // Serial ports are opened again.
+            rt::thread::file_thread(core_of_loop);
             worker.run();
         })?;
         Ok(Arc::new(LinkThread { shared, thread: Some(thread) }))
