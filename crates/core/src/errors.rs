@@ -24,3 +24,9 @@ pub fn no_descriptor(error: &std::io::Error) -> Option<&'static str> {
         _ => None,
     }
 }
+
+/// A user in words: by his name, or by his number where he has none here.
+pub fn user(uid: u32) -> String {
+    let name = nix::unistd::User::from_uid(uid.into()).ok().flatten().map(|user| user.name);
+    format!("user {}", name.unwrap_or_else(|| uid.to_string()))
+}

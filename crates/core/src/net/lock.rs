@@ -3,8 +3,9 @@
 //! A lock is a listening Unix socket with an abstract address (unix(7)). It needs no right, leaves nothing in the file
 //! system, and the kernel releases it when its process ends, however that ends; a child does not inherit it. Abstract
 //! addresses belong to a network namespace, as interfaces do: the lock does not reach into another namespace or to
-//! another host. Any user of this host may bind such an address without being a master. It is refused then, too: the
-//! message names that process, and to go on next to a possible master is worse.
+//! another host. Any user of this host may bind such an address without being a master: a directory would need an
+//! owner whom all users trust, and a service that makes it. It is refused then, too: the message names that process and
+//! its user, and to go on next to a possible master is worse.
 
 use std::io;
 use std::net::SocketAddrV4;
@@ -21,7 +22,7 @@ use nix::sys::socket::{
 use thiserror::Error;
 
 use super::local;
-use crate::errors::no_descriptor;
+use crate::errors::{no_descriptor, user};
 
 /// A lock is released within this time after its master has ended: a process that is just being started has a copy of
 /// it until it executes its program, and a process that was killed may take a moment to die.
@@ -63,10 +64,23 @@ pub enum Refused {
         /// Its name in parentheses, if it can be read.
         name: String,
     },
+    /// A process of another user has locked it, or has taken the name of its lock.
+    #[error(
+        "is in use by process {pid}{name} of {user}: have that master ended first; if it is none, it only holds the \
+         name (`sudo ss -xap` lists its @fieldbeat- socket): `sudo kill {pid}`"
+    )]
+    Other {
+        /// Its id.
+        pid: i32,
+        /// Its name in parentheses, if it can be read.
+        name: String,
+        /// Its user, in words.
+        user: String,
+    },
     /// A process has locked it that this one cannot see.
     #[error(
-        "is in use by another master, whose process is not visible from here: end that one first (`ss -xlp` \
-         lists its @fieldbeat- socket)"
+        "is in use by another master, whose process is not visible from here: end that one first (`sudo ss \
+         -xap` lists its @fieldbeat- socket)"
     )]
     Unseen,
     /// The operating system refused.
@@ -117,22 +131,33 @@ impl Place<'_> {
 }
 
 /// Who uses a place, by the process that listens at its address.
-fn used_by(owner: Option<i32>) -> Refused {
+fn used_by(owner: Option<Owner>) -> Refused {
     match owner {
-        Some(pid) if pid.cast_unsigned() == std::process::id() => Refused::Own,
+        Some(Owner { pid, .. }) if pid.cast_unsigned() == std::process::id() => Refused::Own,
         // A process of a PID namespace that is not below ours has no id here.
-        Some(pid) if pid > 0 => Refused::Process { pid, name: name(pid) },
+        Some(Owner { pid, uid }) if pid > 0 => match uid == nix::unistd::geteuid().as_raw() {
+            true => Refused::Process { pid, name: name(pid) },
+            false => Refused::Other { pid, name: name(pid), user: user(uid) },
+        },
         _ => Refused::Unseen,
     }
 }
 
+/// Whose a lock is.
+#[derive(Clone, Copy, Debug)]
+struct Owner {
+    pid: i32,
+    uid: u32,
+}
+
 /// The process that listens there (SO_PEERCRED of a connection). It never waits: a full queue is no answer.
-fn owner(key: &str) -> Option<i32> {
+fn owner(key: &str) -> Option<Owner> {
     let address = UnixAddr::new_abstract(key.as_bytes()).ok()?;
     let flags = SockFlag::SOCK_CLOEXEC | SockFlag::SOCK_NONBLOCK;
     let socket = socket(AddressFamily::Unix, SockType::Stream, flags, None).ok()?;
     connect(socket.as_raw_fd(), &address).ok()?;
-    Some(getsockopt(&socket, PeerCredentials).ok()?.pid())
+    let of = getsockopt(&socket, PeerCredentials).ok()?;
+    Some(Owner { pid: of.pid(), uid: of.uid() })
 }
 
 /// The name of a process in parentheses; empty if it cannot be read.
@@ -163,6 +188,22 @@ mod tests {
             drop(lock);
             drop(place.lock().unwrap());
         }
+    }
+
+    #[test]
+    fn a_process_of_another_user_is_named_with_him_and_with_what_to_do_if_it_is_no_master() {
+        let (pid, uid) = (1, nix::unistd::geteuid().as_raw());
+        let said = |uid| used_by(Some(Owner { pid, uid })).to_string();
+        assert!(
+            said(uid).contains("another master, process 1 ") && !said(uid).contains("user"),
+            "{}",
+            said(uid)
+        );
+        let other = said(4_000_000_001);
+        for part in ["process 1 (", " of user 4000000001: have", "`sudo ss -xap` lists", "`sudo kill 1`"] {
+            assert!(other.contains(part), "no {part}: {other}");
+        }
+        assert!(matches!(used_by(Some(Owner { pid: 0, uid })), Refused::Unseen));
     }
 
     #[test]
