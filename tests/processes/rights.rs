@@ -36,11 +36,14 @@ fn a_right_that_is_missing_is_named_with_the_remedy_and_nothing_is_sent() {
         (&["linmot", "command", strict, "d0", "no-operation"], &real_time[..]),
         (
             &["run", segment.to_str().unwrap()],
-            &["cannot use interface lo", "CAP_NET_RAW", "cap_net_raw+ep on the program"],
+            &["cannot use interface lo", "CAP_NET_RAW", "cap_net_raw+ep /"],
         ),
         (
             &["ethercat", "scan", "lo"],
-            &["no right for raw frames on lo (CAP_NET_RAW); grant it: sudo setcap cap_net_raw+ep /"],
+            &[
+                "no right for raw frames on lo (CAP_NET_RAW); grant it: sudo groupadd -f realtime && ",
+                "sudo setcap cap_sys_nice,cap_ipc_lock,cap_net_raw+ep /",
+            ],
         ),
         (&["profibus", "scan", &port], &[&of_port, "dialout"]),
     ] {

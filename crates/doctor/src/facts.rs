@@ -1,9 +1,12 @@
 //! The facts of this host: files below a root directory, so that a test can use one of its own, and the few things that
 //! are not in files. Reads only.
 
+use std::ffi::CString;
 use std::fs;
 use std::io;
 use std::net::Ipv4Addr;
+use std::os::unix::ffi::OsStrExt;
+use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
 use nix::ifaddrs::{InterfaceAddress, getifaddrs};
@@ -15,7 +18,7 @@ use super::way::Port;
 use fieldbeat_core::net::local;
 use fieldbeat_core::net::tty::Tried;
 use fieldbeat_core::rt::host::cores_of;
-use fieldbeat_core::rt::{Denied, Memory, MonotonicClock, RealtimeError, Regions, memory, thread};
+use fieldbeat_core::rt::{Denied, Memory, MonotonicClock, RealtimeError, Regions, confine, memory, thread};
 
 /// All that the checks look at.
 #[derive(Debug)]
@@ -172,6 +175,32 @@ pub(super) struct Probes {
     pub nics: Vec<(String, Nic)>,
     /// What the drivers of the serial ports make of the plan's settings, by path.
     pub ports: Vec<(String, Result<Tried, Untried>)>,
+    /// The file of this program.
+    pub program: Program,
+    /// Whether a thread can give up system calls.
+    pub filters: io::Result<()>,
+}
+
+/// Who gets which rights by the file of a program.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Program {
+    /// It has capabilities (setcap(8)).
+    pub is_capable: bool,
+    /// Every user may execute it.
+    pub is_for_all: bool,
+}
+
+impl Program {
+    /// Of the file at `path`.
+    pub fn of(path: &Path) -> Program {
+        let mode = |path: &Path| fs::metadata(path).map_or(0, |about| about.mode());
+        let is_for_all = path.ancestors().all(|part| mode(part) & 0o001 != 0);
+        let name = CString::new(path.as_os_str().as_bytes()).unwrap_or_default();
+        let attribute = c"security.capability".as_ptr();
+        // SAFETY: two strings; nothing is written into a room of no bytes, only the length is returned.
+        let length = unsafe { libc::getxattr(name.as_ptr(), attribute, std::ptr::null_mut(), 0) };
+        Program { is_capable: length > 0, is_for_all }
+    }
 }
 
 impl Probes {
@@ -193,6 +222,8 @@ impl Probes {
             ports: real.map(try_port).collect(),
             nics: names.into_iter().map(|name| (name.clone(), Nic::ask(&name))).collect(),
             addresses,
+            program: std::env::current_exe().map_or(Program::default(), |path| Program::of(&path)),
+            filters: confine::can_filter(),
         }
     }
 
@@ -287,6 +318,8 @@ pub(super) mod testing {
                 ],
                 nics: Vec::new(),
                 ports: Vec::new(),
+                program: Program::default(),
+                filters: Ok(()),
             };
             let host = Host(Facts { root: Root(directory), probes });
             host.with(files)

@@ -1,7 +1,7 @@
 //! What this user may do: the loop's priority, the memory lock, and the real-time budget of its control group.
 
 use super::Subject;
-use super::facts::{Facts, Root};
+use super::facts::{Facts, Program, Root};
 use super::finding::{Area, Finding, write};
 use fieldbeat_core::rt::rights::{amount, program, setcap};
 use fieldbeat_core::rt::{Denied, Memory, Realtime};
@@ -13,6 +13,8 @@ pub(super) fn check(facts: &Facts, subject: &Subject) -> Vec<Finding> {
         fifo(&probes.fifo, subject),
         memory(&probes.memory, subject),
         group_budget(&facts.root, probes.fifo.is_ok(), subject),
+        program_file(probes.program),
+        filters(&probes.filters),
     ]
 }
 
@@ -70,6 +72,42 @@ fn refused(finding: Finding, denied: &Denied, subject: &Subject) -> Finding {
     match subject.cycle.realtime {
         Realtime::Off => finding.poor(format!("{found}; not needed with realtime = \"off\"")),
         Realtime::Prefer | Realtime::Require => finding.bad(found),
+    }
+}
+
+/// Whoever may execute a file with capabilities has them.
+fn program_file(file: Program) -> Finding {
+    let finding = Finding::about(
+        Area::Rights,
+        "program file",
+        "no capabilities, or only for a group",
+        "whoever may execute it may run real-time threads, lock memory and send raw frames, as setcap granted",
+    );
+    match file {
+        Program { is_capable: false, .. } => finding.good("no capabilities"),
+        Program { is_for_all: false, .. } => finding.good("capabilities, not for everybody"),
+        Program { .. } => finding
+            .fix(
+                format!("{}\nwith the capabilities that it had (getcap {})", setcap(), program()),
+                format!("sudo chmod 755 {}", program()),
+            )
+            .poor("capabilities for everybody"),
+    }
+}
+
+/// The threads that serve others run with less where the kernel lets them.
+fn filters(tried: &std::io::Result<()>) -> Finding {
+    let finding = Finding::about(
+        Area::Rights,
+        "filters",
+        "system call filters (seccomp)",
+        "without them the threads of metrics, scope and control socket may make every system call of this user",
+    );
+    match tried {
+        Ok(()) => finding.good("available"),
+        Err(error) => finding
+            .advise("allow seccomp(2) in the container, or use a kernel with CONFIG_SECCOMP_FILTER")
+            .poor(format!("refused: {error}")),
     }
 }
 
@@ -142,7 +180,7 @@ mod tests {
         let finding = fifo(&denied, &plan);
         assert_eq!((finding.verdict, finding.found.as_str()), (Bad, "refused: RLIMIT_RTPRIO is 20"));
         let (fix, undo) = (finding.fix.unwrap(), finding.undo.unwrap());
-        assert!(fix.starts_with("sudo setcap cap_sys_nice,cap_ipc_lock+ep ") && fix.contains("limits.conf"));
+        assert!(fix.contains(" && sudo setcap cap_sys_nice,cap_ipc_lock+ep ") && fix.contains("limits.conf"));
         assert!(undo.starts_with("sudo setcap -r ") && undo.ends_with(&program()), "{undo}");
 
         let little = Err(Denied::Memlock { need_kib: Some(100_000), limit_kib: 8_192 });
@@ -155,6 +193,49 @@ mod tests {
 
         plan.cycle.realtime = Realtime::Off;
         assert_eq!(fifo(&denied, &plan).verdict, Poor);
+    }
+
+    #[test]
+    fn a_file_with_capabilities_for_everybody_and_missing_filters_are_poor() {
+        let found = |is_capable, is_for_all| program_file(Program { is_capable, is_for_all });
+        assert_eq!([found(false, true), found(true, false)].map(|one| one.verdict), [Good; 2]);
+        let open = found(true, true);
+        assert_eq!(open.verdict, Poor);
+        assert!(open.fix.unwrap().starts_with("sudo groupadd -f realtime && sudo chgrp realtime "));
+        assert_eq!(filters(&Ok(())).verdict, Good);
+        let refused = filters(&Err(std::io::Error::from_raw_os_error(libc::EPERM)));
+        assert!(refused.verdict == Poor && refused.found.contains("not permitted"), "{refused:?}");
+    }
+
+    /// setcap(8) as the messages have it: a new group takes the capabilities of a file away, so it comes first.
+    #[test]
+    #[ignore = "needs root: capabilities of a file"]
+    fn the_group_of_a_file_comes_before_its_capabilities() {
+        use std::os::unix::fs::PermissionsExt;
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("program");
+        std::fs::write(&path, "").unwrap();
+        let mode = |path: &std::path::Path, mode| {
+            std::fs::set_permissions(path, std::fs::Permissions::from_mode(mode)).unwrap();
+        };
+        let grant = || {
+            let done = std::process::Command::new("setcap").arg("cap_net_raw+ep").arg(&path).status();
+            assert!(done.expect("libcap2-bin is installed").success());
+        };
+        mode(directory.path(), 0o755);
+        mode(&path, 0o755);
+        assert_eq!(Program::of(&path), Program { is_capable: false, is_for_all: true });
+        grant();
+        assert_eq!(Program::of(&path), Program { is_capable: true, is_for_all: true });
+        std::os::unix::fs::chown(&path, None, Some(1)).unwrap();
+        assert!(!Program::of(&path).is_capable, "the group was changed after setcap");
+        mode(&path, 0o750);
+        grant();
+        assert_eq!(Program::of(&path), Program { is_capable: true, is_for_all: false });
+        // Where nobody else gets to, nobody else executes it.
+        mode(&path, 0o755);
+        mode(directory.path(), 0o700);
+        assert_eq!(Program::of(&path), Program { is_capable: true, is_for_all: false });
     }
 
     #[test]

@@ -86,7 +86,7 @@ impl ProfibusBus {
             bus: plan.name.clone(),
             interface: plan.device.clone(),
             source,
-            remedy: "look at device: a serial port, like \"/dev/ttyS1\"",
+            remedy: "look at device: a serial port, like \"/dev/ttyS1\"".to_owned(),
         })?;
         let known = |drive: &LenzeDrive| Known {
             address: drive.address,

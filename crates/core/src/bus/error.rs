@@ -45,7 +45,7 @@ pub enum OpenError {
         /// The operating system's error.
         source: std::io::Error,
         /// The remedy.
-        remedy: &'static str,
+        remedy: String,
     },
     /// Another master of this host uses the same interface or drive.
     #[error("bus {bus}: {what} {why}")]

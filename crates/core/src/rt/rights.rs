@@ -118,7 +118,18 @@ fn effective(status: &str) -> u64 {
 
 /// The command that grants both rights to this very program.
 pub fn setcap() -> String {
-    format!("sudo setcap cap_sys_nice,cap_ipc_lock+ep {}", program())
+    grant("cap_sys_nice,cap_ipc_lock")
+}
+
+/// The command that grants these capabilities, and no others, to this very program, for its owner and members of the
+/// group `realtime`: whoever may execute it has them. The group comes first, since a new one would take them away again
+/// (chown(2)).
+pub fn grant(capabilities: &str) -> String {
+    let program = program();
+    format!(
+        "sudo groupadd -f realtime && sudo chgrp realtime {program} && sudo chmod 750 {program} && sudo setcap \
+         {capabilities}+ep {program}"
+    )
 }
 
 /// This very program, quoted for a shell.

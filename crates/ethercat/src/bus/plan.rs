@@ -21,6 +21,7 @@ use fieldbeat_core::bus::variant::Variant;
 use fieldbeat_core::bus::{BusFacts, BusPlan, DriveFacts, Grid, OpenError, Opened};
 use fieldbeat_core::errors::no_descriptor;
 use fieldbeat_core::net::{Carriers, Frames, Lock, Place};
+use fieldbeat_core::rt::rights::grant;
 
 /// The interface of `plan`, with its lock; no other master has frames there.
 pub(super) fn open(
@@ -43,16 +44,17 @@ pub(super) fn open(
 }
 
 /// The remedy for an interface that cannot be used.
-fn remedy(source: &std::io::Error) -> &'static str {
-    match source.kind() {
+fn remedy(source: &std::io::Error) -> String {
+    let known = match source.kind() {
         ErrorKind::PermissionDenied => {
-            "sudo setcap cap_sys_nice,cap_ipc_lock,cap_net_raw+ep on the program, or run it as root"
+            return format!("{}, or run it as root", grant("cap_sys_nice,cap_ipc_lock,cap_net_raw"));
         }
         ErrorKind::NotFound => "correct interface",
         _ => no_descriptor(source).unwrap_or(
             "look at interface: a network interface like \"eth1\", or \"local:NAME\" for simulated drives",
         ),
-    }
+    };
+    known.to_owned()
 }
 
 impl BusPlan for EthercatPlan {

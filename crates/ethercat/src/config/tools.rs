@@ -11,6 +11,7 @@ use crate::wire::frame::ETHERTYPE;
 use crate::wire::sii::Protocols;
 use fieldbeat_core::net::frames::Unsent;
 use fieldbeat_core::net::{Carriers, Frames, Os, Place};
+use fieldbeat_core::rt::rights::grant;
 use fieldbeat_tools::{Program, Stop, Tool, arguments, table};
 
 /// The commands that this protocol adds.
@@ -65,11 +66,9 @@ pub(super) fn open(interface: &str) -> Result<Box<dyn Frames>, Stop> {
     Os::default().frames(interface, ETHERTYPE).map_err(|error| {
         Stop::usage(match error.kind() {
             io::ErrorKind::PermissionDenied => {
-                let program = std::env::current_exe().unwrap_or_else(|_| "fieldbeat".into());
-                let program = program.display();
+                let granting = grant("cap_sys_nice,cap_ipc_lock,cap_net_raw");
                 format!(
-                    "no right for raw frames on {interface} (CAP_NET_RAW); grant it: \
-                     sudo setcap cap_net_raw+ep {program}, or use sudo"
+                    "no right for raw frames on {interface} (CAP_NET_RAW); grant it: {granting}, or use sudo"
                 )
             }
             io::ErrorKind::NotFound | io::ErrorKind::InvalidInput => error.to_string(),
