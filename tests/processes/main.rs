@@ -13,6 +13,7 @@ mod fuse;
 mod hosts;
 mod init;
 mod jog;
+mod least;
 mod links;
 mod linmot;
 mod masters;
