@@ -27,6 +27,7 @@ mod replay;
 mod report;
 mod rights;
 mod scans;
+mod service;
 mod signals;
 mod soak;
 mod stuck;
