@@ -3,6 +3,9 @@
 
 use std::collections::BTreeMap;
 use std::fs;
+use std::io;
+use std::os::unix::process::CommandExt;
+use std::process::Command;
 
 use super::metrics::{endpoint, scrape};
 use super::support::{
@@ -89,6 +92,45 @@ fn every_thread_of_a_running_master_has_the_least_rights_and_still_serves() {
     assert_least(master.pid(), &all);
     master.signal(libc::SIGUSR1);
     master.await_text("black box: ");
+    finish(master);
+}
+
+/// `command` where seccomp(2) is refused, as some containers do: by the simplest of all filters.
+fn without_filters(command: &mut Command) -> &mut Command {
+    let step = |code: u32, jf, k| libc::sock_filter { code: code as u16, jt: 0, jf, k };
+    let mut program = [
+        step(libc::BPF_LD | libc::BPF_W | libc::BPF_ABS, 0, 0),
+        step(libc::BPF_JMP | libc::BPF_JEQ | libc::BPF_K, 1, libc::SYS_seccomp as u32),
+        step(libc::BPF_RET | libc::BPF_K, 0, libc::SECCOMP_RET_ERRNO | libc::EPERM as u32),
+        step(libc::BPF_RET | libc::BPF_K, 0, libc::SECCOMP_RET_ALLOW),
+    ];
+    // SAFETY: between fork and exec, system calls only; the kernel reads the program, which the closure owns.
+    unsafe {
+        command.pre_exec(move || {
+            let program = libc::sock_fprog { len: program.len() as u16, filter: program.as_mut_ptr() };
+            let mode = libc::c_ulong::from(libc::SECCOMP_MODE_FILTER);
+            let refused = libc::prctl(libc::PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0) != 0
+                || libc::prctl(libc::PR_SET_SECCOMP, mode, &raw const program) != 0;
+            if refused { Err(io::Error::last_os_error()) } else { Ok(()) }
+        })
+    }
+}
+
+#[test]
+fn where_filters_are_refused_that_is_said_once_and_a_master_serves_all_the_same() {
+    let (_machine, config, _sim) = with_drives(23, 1);
+    let mut command = Command::new(PROGRAM);
+    command.arg("run").arg(&config).args(["--metrics", "0", "--json"]);
+    let mut master = Program::spawn(without_filters(&mut command));
+    let address = endpoint(&mut master);
+    master.await_text("all drives online");
+    assert!(scrape(address).contains("fieldbeat_host_info{"));
+    await_online(&config);
+    let said = master.err();
+    let said: Vec<&str> = said.lines().filter(|line| line.contains("filters")).collect();
+    let [line] = said[..] else { panic!("{said:?}") };
+    let begin = "fieldbeat: metrics, scope and control socket run without filters of system calls: ";
+    assert!(line.starts_with(begin) && line.ends_with("; `fieldbeat doctor` says what to do"), "{line}");
     finish(master);
 }
 

@@ -8,6 +8,7 @@ use fieldbeat_config::{Loaded, load_machine};
 use fieldbeat_control::Station;
 use fieldbeat_core::axis::Axis;
 use fieldbeat_core::bus::diagnosis::NOT_YET;
+use fieldbeat_core::rt::confine::can_filter;
 use fieldbeat_core::rt::thread::stand_aside;
 use fieldbeat_core::time::MS;
 use fieldbeat_master::{Master, Setup};
@@ -79,6 +80,10 @@ pub fn start(setup: Setup, interrupt: &Interrupt) -> Result<Master, Stop> {
     interrupt.stops(master.stop_handle()).map_err(Stop::failed)?;
     for line in &master.granted().missing {
         complain(&format!("not real-time: {line}"));
+    }
+    if let Err(error) = can_filter() {
+        let what = "metrics, scope and control socket run without filters of system calls";
+        complain(&format!("{what}: {error}; `fieldbeat doctor` says what to do"));
     }
     Ok(master)
 }

@@ -7,6 +7,7 @@ use std::thread::sleep;
 use clap::{Args, Subcommand};
 use fieldbeat_config::demo::is_demo;
 use fieldbeat_control::{About, Operator, Watch, Watched, place};
+use fieldbeat_core::rt::confine::{Keep, give_up_rights};
 use fieldbeat_record::metrics::{Address, address};
 use fieldbeat_scope::{Control, Endpoint, Server, Source};
 use fieldbeat_telemetry::Monitor;
@@ -96,6 +97,7 @@ impl Scope {
         let other = Other { config, pid };
         let control = control.then(|| Arc::new(other.clone()) as Arc<dyn Control>);
         let endpoint = Endpoint::bind(listen, control).map_err(Stop::usage)?;
+        give_up_rights(Keep::Files);
         announce(&endpoint, |line| print(line))?;
         let server = endpoint.serve(other, None).map_err(Stop::failed)?;
         while !interrupt.is_set() {

@@ -6,6 +6,7 @@ use std::time::{Duration, Instant};
 use clap::Args;
 use fieldbeat_config::Configuration;
 use fieldbeat_core::cycle::Plan;
+use fieldbeat_core::rt::confine::{Keep, give_up_rights};
 use fieldbeat_core::rt::thread::{default_core, spare_core};
 use fieldbeat_core::rt::{Realtime, host};
 use fieldbeat_record::summary::plural;
@@ -44,6 +45,7 @@ impl Sim {
         };
         let mut server = SimServer::start(simulation.build(), serving(&plan, self.core))
             .map_err(|error| Stop::usage(format!("cannot simulate the drives: {error}")))?;
+        give_up_rights(Keep::Nothing);
         print(format_args!("{listening} listening; Ctrl-C ends the simulation"))?;
         let begun = Instant::now();
         while !interrupt.is_set() && self.duration.is_none_or(|duration| begun.elapsed() < duration) {
