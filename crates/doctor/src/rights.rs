@@ -81,7 +81,7 @@ fn program_file(file: Program) -> Finding {
         Area::Rights,
         "program file",
         "no capabilities, or only for a group",
-        "whoever may execute it may run real-time threads, lock memory and send raw frames, as setcap granted",
+        "whoever may execute it may run real-time threads, lock memory and send raw frames",
     );
     match file {
         Program { is_capable: false, .. } => finding.good("no capabilities"),
@@ -101,7 +101,7 @@ fn filters(tried: &std::io::Result<()>) -> Finding {
         Area::Rights,
         "filters",
         "system call filters (seccomp)",
-        "without them the threads of metrics, scope and control socket may make every system call of this user",
+        "without them the threads of metrics, scope and control socket may do all that this user may",
     );
     match tried {
         Ok(()) => finding.good("available"),
