@@ -140,7 +140,7 @@ mod tests {
         let [logins, temporary] = ["user", "tmp"].map(|name| place.path().join(name));
         fs::create_dir(&temporary).unwrap();
         let own = temporary.join(format!("fieldbeat-{number}"));
-        assert_eq!(unnamed(&logins, &temporary), [own.clone()]);
+        assert_eq!(unnamed(&logins, &temporary), std::slice::from_ref(&own));
         let login = logins.join(number.to_string());
         fs::create_dir_all(&login).unwrap();
         assert_eq!(unnamed(&logins, &temporary), [login.join("fieldbeat"), own.clone()]);

@@ -7,7 +7,8 @@ use super::Only;
 
 /// What every thread calls without being asked: the C library and the standard library.
 pub const OF_EVERY_THREAD: &[c_long] = &[
-    // Memory.
+    // Memory; and how many cores there are, for its arenas.
+    libc::SYS_sched_getaffinity,
     libc::SYS_brk,
     libc::SYS_madvise,
     libc::SYS_mmap,
@@ -52,9 +53,8 @@ pub const TO_START_THREADS: &[c_long] = &[
     libc::SYS_set_robust_list,
     // The name of the thread.
     libc::SYS_prctl,
-    // Which cores it may use, and for the size of its stack.
+    // The size of its stack.
     libc::SYS_prlimit64,
-    libc::SYS_sched_getaffinity,
 ];
 
 /// What a server calls in addition, on sockets that are open.
