@@ -24,9 +24,14 @@ pub const OF_EVERY_THREAD: &[c_long] = &[
     libc::SYS_clock_gettime,
     libc::SYS_clock_nanosleep,
     libc::SYS_nanosleep,
-    // A panic prints the number of its thread.
+    // Who it is. Nobody expects these to fail: a refusal would read as a number.
+    libc::SYS_getegid,
+    libc::SYS_geteuid,
+    libc::SYS_getgid,
     libc::SYS_getpid,
+    libc::SYS_getppid,
     libc::SYS_gettid,
+    libc::SYS_getuid,
     // What is open already: messages to standard error, pipes and sockets.
     libc::SYS_close,
     libc::SYS_read,
@@ -95,10 +100,8 @@ pub const TO_REACH_A_MASTER: &[c_long] = &[
     libc::SYS_connect,
     // A display in the master's own process.
     libc::SYS_socketpair,
-    // The directories with their sockets, and whose they are.
+    // The directories with their sockets.
     libc::SYS_getdents64,
-    libc::SYS_geteuid,
-    libc::SYS_getuid,
     // The whole path of the configuration.
     libc::SYS_getcwd,
     libc::SYS_readlinkat,

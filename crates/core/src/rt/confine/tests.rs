@@ -81,7 +81,10 @@ fn a_server_writes_no_file_executes_nothing_and_makes_no_socket_but_to_a_master(
     for server in [Server::Metrics, Server::Control, Server::Scope] {
         on_a_thread(|| {
             assert_eq!(refused(execute()), Some(libc::ENOENT));
+            let who = || (nix::unistd::geteuid(), nix::unistd::getegid(), nix::unistd::getpid());
+            let before = who();
             serve_only(server).unwrap();
+            assert_eq!(who(), before, "what says whom a request is for");
             assert_eq!(opens(), [None, EPERM], "{server:?}");
             let new = std::env::temp_dir().join(format!("fieldbeat-new-{}", std::process::id()));
             assert_eq!(refused(File::create_new(new)), EPERM, "{server:?}");
