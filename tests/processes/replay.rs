@@ -36,9 +36,10 @@ fn recorded(machine: &Machine, signal: i32) -> PathBuf {
     }
     let ended = running.end_by(signal);
     if signal == libc::SIGINT {
-        ended.expect(0);
         let recording = ended.out.lines().find(|line| line.contains(file.to_str().unwrap())).unwrap();
-        assert!(recording.ends_with(" of them for `fieldbeat replay`"), "{recording}");
+        // The log of the wire is whole even where the host was too slow for all records of the cycles.
+        let (_, rest) = recording.split_once(" of them for `fieldbeat replay`").unwrap();
+        ended.expect(if rest.ends_with(" records are missing") { 1 } else { 0 });
     }
     file
 }

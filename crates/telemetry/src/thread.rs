@@ -42,6 +42,10 @@ const COUNT_EVERY_NS: u64 = 100 * MS;
 /// With room for 100 ms, 5 923 records of 4 s were lost next to a compiler on every core.
 const RING_NS: u64 = S;
 
+/// And so many records at least, some seconds of a small machine: next to three test programs and a compiler on two
+/// cores the thread once did not run for 1.4 s.
+const LEAST_RECORDS: usize = 1 << 13;
+
 /// The most records in all. Their memory is locked; the loop counts what does not fit.
 const MOST_RECORDS: usize = 1 << 18;
 
@@ -457,7 +461,7 @@ impl TelemetryThread {
     /// Room that the ring needs for cycles of so many records.
     pub fn ring_size(records_a_cycle: usize, period_ns: u64) -> usize {
         let cycles = usize::try_from(RING_NS.div_ceil(period_ns.max(1))).unwrap_or(MOST_RECORDS).max(16);
-        cycles.saturating_mul(records_a_cycle).min(MOST_RECORDS)
+        cycles.saturating_mul(records_a_cycle).clamp(LEAST_RECORDS, MOST_RECORDS)
     }
 
     /// It feeds a sink, which has begun. `status` says how many records the loop has lost so far.
@@ -644,7 +648,7 @@ mod tests {
     fn the_ring_holds_a_second_within_bounded_memory() {
         assert_eq!(TelemetryThread::ring_size(9, MS), 9_000);
         assert_eq!(TelemetryThread::ring_size(4, 250_000), 16_000);
-        assert_eq!(TelemetryThread::ring_size(2, 10 * S), 32);
+        assert_eq!(TelemetryThread::ring_size(2, 10 * S), 1 << 13);
         assert_eq!(TelemetryThread::ring_size(1_000, 100_000), 1 << 18);
         assert_eq!(TelemetryThread::ring_size(usize::MAX, 0), 1 << 18);
     }
