@@ -13,7 +13,7 @@ use fieldbeat_loom::axis::newest::{NewestOut, newest};
 use fieldbeat_loom::calls;
 use fieldbeat_loom::inputs::entry::Kind;
 use fieldbeat_loom::inputs::recording::log;
-use fieldbeat_loom::rt::{Regions, Wires};
+use fieldbeat_loom::rt::{Regions, Taker, Wires};
 use loom::sync::Arc;
 use loom::sync::atomic::{AtomicU64, Ordering};
 use loom::thread;
@@ -113,7 +113,7 @@ fn behind_whatever_a_loop_sends_after_its_wires_were_taken_comes_a_stop() {
         let watch = {
             let (wires, wire) = (wires.clone(), Arc::clone(&wire));
             thread::spawn(move || {
-                if !wires.take() {
+                if !wires.take(Taker::Watch) {
                     return false;
                 }
                 while !wires.gave_way() {
@@ -138,6 +138,32 @@ fn behind_whatever_a_loop_sends_after_its_wires_were_taken_comes_a_stop() {
         let newest = wire.load(Ordering::Relaxed);
         assert_eq!(newest, if stopped { STOP } else { REQUEST });
         assert_eq!((wires.is_stuck(), wires.have_ended()), (stopped, !stopped));
+    });
+}
+
+#[test]
+fn the_wires_have_one_taker_in_the_end_who_knows_that_the_loop_gave_way() {
+    loom::model(|| {
+        let wires = Wires::default();
+        let takers = [Taker::Watch, Taker::Guardian].map(|taker| {
+            let wires = wires.clone();
+            thread::spawn(move || wires.take(taker))
+        });
+        if wires.are_taken() || !wires.end() {
+            wires.give_way();
+        }
+        let [watch, guardian] = takers.map(|taker| taker.join().unwrap());
+        match wires.taker() {
+            // The guardian takes them from the watch, never the other way round.
+            Some(taker) => {
+                assert_eq!(taker, if guardian { Taker::Guardian } else { Taker::Watch });
+                assert!(wires.gave_way() && (watch || guardian) && !wires.have_ended());
+                assert!(guardian != wires.set_ended(Taker::Watch));
+                assert!(!guardian || wires.set_ended(Taker::Guardian));
+            }
+            None => assert!(!watch && !guardian),
+        }
+        assert!(wires.have_ended());
     });
 }
 

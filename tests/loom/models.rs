@@ -37,6 +37,14 @@ pub mod axis {
             pub of: CommandId,
             pub value: f64,
         }
+
+        crate::word! {
+            CommandId: |id: CommandId| id.0, CommandId;
+        }
+
+        crate::parts! {
+            Setpoint { member, parts, number, of, value }
+        }
     }
 
     pub mod observer {
@@ -73,6 +81,8 @@ pub mod axis {
 mod errors;
 #[path = "../../crates/core/src/named.rs"]
 mod named;
+#[path = "../../crates/core/src/packed.rs"]
+pub mod packed;
 #[path = "../../crates/core/src/time.rs"]
 pub mod time;
 
@@ -82,9 +92,27 @@ pub mod rt {
 
     #[path = "../../crates/core/src/rt/wires.rs"]
     mod wires;
-    pub use wires::Wires;
+    pub use wires::{Taker, Wires, Words};
+
+    use std::sync::Arc;
 
     use crate::sync::{Consumer, Producer};
+
+    /// Values that threads share.
+    #[derive(Debug, Default)]
+    pub struct Held<T>(Arc<T>);
+
+    impl<T> Held<T> {
+        pub fn first(&self) -> &T {
+            &self.0
+        }
+    }
+
+    impl<T> Clone for Held<T> {
+        fn clone(&self) -> Held<T> {
+            Held(Arc::clone(&self.0))
+        }
+    }
 
     #[derive(Clone, Debug, Default)]
     pub struct Regions;
@@ -287,24 +315,10 @@ impl axis::acyclic::Notation for NoNotation {
         "none"
     }
 
-    fn read(&self, _address: &str) -> Result<axis::acyclic::Call, axis::acyclic::NotationError> {
-        Ok(axis::acyclic::Call::default())
-    }
-
-    fn write(
-        &self,
-        _address: &str,
-        _value: u64,
-    ) -> Result<axis::acyclic::Call, axis::acyclic::NotationError> {
-        Ok(axis::acyclic::Call::default())
-    }
-
-    fn value(&self, _address: &str, _text: &str) -> Result<u64, axis::acyclic::NotationError> {
-        Ok(0)
-    }
-
-    fn number(&self, _address: &str, raw: u64) -> i64 {
-        raw as i64
+    fn place(&self, _address: &str) -> Result<axis::acyclic::Place, axis::acyclic::NotationError> {
+        let call = axis::acyclic::Call::default();
+        let values = axis::acyclic::Values::Unknown { form: String::new() };
+        Ok(axis::acyclic::Place { read: Ok(call), write: Ok(call), values })
     }
 
     fn show(&self, _address: &str, raw: u64) -> String {

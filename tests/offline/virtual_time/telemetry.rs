@@ -14,6 +14,7 @@ use fieldbeat_core::axis::feedback::MONITOR_CHANNELS;
 use fieldbeat_core::cycle::engine::Control;
 use fieldbeat_core::cycle::record::{Record, Reply};
 use fieldbeat_core::cycle::ring::{Kept, RecordReader};
+use fieldbeat_core::rt::Wires;
 use fieldbeat_linudp::upid::Upid;
 use fieldbeat_master::{Assembly, assemble};
 use fieldbeat_telemetry::TelemetryThread;
@@ -54,7 +55,8 @@ fn run(plan: &Plan, mut telemetry: impl FnMut(&mut RecordReader)) -> Numbers {
     let options = WorldOptions { seed: 7, wake_ns: 260 * US, ..WorldOptions::default() };
     let world = World::new(drives(), options).unwrap();
     let Assembly { mut engine, mut records, .. } =
-        assemble(plan, world.clock(), &world, None, Control::default(), Kept::default()).unwrap();
+        assemble(plan, world.clock(), &world, None, Control::default(), Wires::default(), Kept::default())
+            .unwrap();
     engine.begin();
     while engine.status().planned < CYCLES {
         engine.step();
@@ -129,7 +131,8 @@ fn each_drive_has_a_record_in_each_cycle_and_its_cycle_comes_last() {
     let plan = Plan { cycle: cycle(), buses: vec![Box::new(bus)], ..Plan::default() };
     let world = World::new(drives(), WorldOptions::default()).unwrap();
     let Assembly { mut engine, mut records, .. } =
-        assemble(&plan, world.clock(), &world, None, Control::default(), Kept::default()).unwrap();
+        assemble(&plan, world.clock(), &world, None, Control::default(), Wires::default(), Kept::default())
+            .unwrap();
     engine.begin();
     for index in 0..50 {
         engine.step();
@@ -193,8 +196,8 @@ fn only_drives_that_show_something_besides_take_room() {
     let without = Plan { buses: vec![Box::new(bus)], ..plan() };
     assert_eq!(without.records_a_cycle(), 3 + 1);
     for (plan, records) in [(with, 5), (without, 4)] {
-        let room = TelemetryThread::ring_size(plan.records_a_cycle(), plan.cycle.period_ns);
-        assert_eq!((room, plan.black_box_records()), (records * 1_000, records * 2_000));
+        let room = TelemetryThread::ring_size(plan.records_a_cycle(), 100 * US);
+        assert_eq!((room, plan.black_box_records()), (records * 10_000, records * 2_000));
     }
 }
 
