@@ -11,6 +11,8 @@ use fieldbeat::sim::server::{ServerOptions, SimServer};
 use fieldbeat::{Master, Row};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
+    // First: this program is the guardian of its master, too.
+    fieldbeat::guardian_main();
     let setup = Master::from_file("rt-config/gantry.toml")?;
     let period = Duration::from_nanos(setup.plan().cycle.period_ns);
     let _drives = SimServer::start(setup.simulation().build(), ServerOptions::default())?;

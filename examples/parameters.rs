@@ -15,6 +15,8 @@ use fieldbeat::sim::server::{ServerOptions, SimServer};
 use fieldbeat::{Command, Master};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
+    // First: this program is the guardian of its master, too.
+    fieldbeat::guardian_main();
     let setup = Master::from_file("rt-config/demo.toml")?;
     let _drives = SimServer::start(setup.simulation().build(), ServerOptions::default())?;
     let master = setup.start()?;

@@ -39,6 +39,8 @@
 //! use fieldbeat::sim::server::{ServerOptions, SimServer};
 //! use fieldbeat::{Master, Profile};
 //!
+//! // First: this program is the guardian of its master, too.
+//! fieldbeat::guardian_main();
 //! let setup = Master::from_file("rt-config/demo.toml")?;
 //! let _drives = SimServer::start(setup.simulation().build(), ServerOptions::default())?;
 //!
@@ -65,7 +67,7 @@
 //!
 //! The default is the whole program. With `default-features = false` there is the runtime for a program of your own:
 //! [`Master`], [`axis`], [`bus`] and the histograms of [`telemetry`], for a [`Plan`] that is built in code. Each wire
-//! is a feature, and with one of them at most 25 packages are compiled: no simulator, no reader of files, no other
+//! is a feature, and with one of them at most 26 packages are compiled: no simulator, no reader of files, no other
 //! wire.
 //!
 //! | feature | what it adds |
@@ -286,4 +288,4 @@ pub use fieldbeat_master::Master;
 #[doc(inline)]
 pub use fieldbeat_master::Setup;
 #[doc(inline)]
-pub use fieldbeat_master::{MasterError, StartError, StopHandle};
+pub use fieldbeat_master::{MasterError, NoGuardian, StartError, StopHandle, guardian_main};

@@ -34,7 +34,7 @@ use fieldbeat_core::cycle::task::Task;
 use fieldbeat_core::inputs::{InputLog, recording};
 use fieldbeat_core::logged::{LinkTap, LoggedCarriers, LoggedClock};
 use fieldbeat_core::net::{Carriers, Handshake, HandshakeState, Os, StreamPeer, Streams};
-use fieldbeat_core::rt::{Clock, MonotonicClock, PollSet, Regions};
+use fieldbeat_core::rt::{Clock, MonotonicClock, PollSet, Regions, Wires};
 use fieldbeat_ethercat::object::Objects;
 use fieldbeat_master::{Assembly, assemble};
 use fieldbeat_telemetry::TelemetryThread;
@@ -210,7 +210,8 @@ impl<C: Clock + Send + 'static> Confined<C> {
     fn start(plan: &Plan, clock: C, carriers: &dyn Carriers, task: Task) -> (Confined<C>, Vec<Axis>) {
         let control = Control::default();
         let Assembly { engine, axes, gauges, records, .. } =
-            assemble(plan, clock, carriers, Some(task), control.clone(), Kept::default()).unwrap();
+            assemble(plan, clock, carriers, Some(task), control.clone(), Wires::default(), Kept::default())
+                .unwrap();
         let measured = Measured::new(&plan.units(), &plan.cycle, true);
         let recorder = TelemetryThread::start(records, measured, Taps::default(), None, None, || {}).unwrap();
         let engine = Arc::new(Mutex::new(Some(engine)));

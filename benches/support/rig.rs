@@ -20,7 +20,7 @@ use fieldbeat_core::inputs::{InputLog, recording};
 use fieldbeat_core::logged::{LinkTap, LoggedCarriers, LoggedClock};
 use fieldbeat_core::net::Carriers;
 use fieldbeat_core::rt;
-use fieldbeat_core::rt::{Clock, MonotonicClock, PollSet, RealtimePlan, Regions};
+use fieldbeat_core::rt::{Clock, MonotonicClock, PollSet, RealtimePlan, Regions, Wires};
 use fieldbeat_master::{Assembly, assemble};
 use nix::sys::time::TimeSpec;
 use nix::time::{ClockId, clock_gettime};
@@ -497,7 +497,15 @@ impl<C: Metered> Rig<C> {
     ) -> Rig<C> {
         let plan = Plan { source: None, cycle, buses, groups: Vec::new() };
         AHEAD_NS.store(0, Ordering::Relaxed);
-        let assembly = match assemble(&plan, clock, carriers, None, Control::default(), Kept::default()) {
+        let assembly = match assemble(
+            &plan,
+            clock,
+            carriers,
+            None,
+            Control::default(),
+            Wires::default(),
+            Kept::default(),
+        ) {
             Ok(assembly) => assembly,
             Err(error) => give_up(error),
         };

@@ -300,13 +300,13 @@ fn under_nohup_the_master_outlives_its_terminal() {
 }
 
 /// Ctrl-Z, or a debugger: the grid goes on without the process, and every slot is accounted for. Neither the loop nor
-/// its watch is to blame, although that does not wait as long.
+/// its watch is to blame, although that does not wait as long; its guardian waits for longer, or is not there.
 #[test]
 fn a_master_that_was_stopped_counts_what_it_missed_and_is_not_stuck() {
     let machine = Machine::new(18);
     for (file, cycle, code) in [
-        ("patient.toml", "max_skip = \"30s\"\nwatch_after = \"300ms\"", 0),
-        ("strict.toml", "max_skip = \"1s\"", 1),
+        ("patient.toml", "max_skip = \"30s\"\nwatch_after = \"300ms\"\nguardian_after = \"60s\"", 0),
+        ("strict.toml", "max_skip = \"1s\"\nguardian_after = \"off\"", 1),
     ] {
         let config = machine.config(file, 1, cycle, "");
         let _sim = serve(&config);

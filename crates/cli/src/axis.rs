@@ -19,6 +19,7 @@ use super::masters::Wanted;
 use super::operating::{PATIENCE, Reached, described, is_under_way, place_of};
 use super::output::both;
 use super::reach::BringUp;
+use super::serving::Guarding;
 use super::{Stop, load, print, span};
 
 /// What the operator is called by.
@@ -39,6 +40,8 @@ pub struct Axis {
     /// The process id of the master, where several of this configuration run.
     #[arg(long, value_name = "PID", global = true)]
     pid: Option<u32>,
+    #[command(flatten)]
+    guarding: Guarding,
 }
 
 #[derive(Debug, Subcommand)]
@@ -212,7 +215,7 @@ impl Axis {
             Some(running) => Reached::remote(&running, COMMAND)?,
             None if self.pid.is_some() => return Err(Stop::failed(wanted.missing())),
             None if !self.does.goes_alone() => return Err(self.needs_master(&wanted.missing())),
-            None => Reached::alone(plan, &interrupt, COMMAND)?,
+            None => Reached::alone(plan, self.guarding, &interrupt, COMMAND)?,
         };
         let (done, way) = self.operate(&mut reached, &interrupt)?;
         let (left, ended) = match way {

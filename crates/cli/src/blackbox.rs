@@ -61,6 +61,12 @@ impl BlackBox {
                 )),
             }
         }
+        for process in Orphan::guarded(&directory) {
+            complain(&format!(
+                "process {process} was killed, or crashed, and its guardian still stops its drives: list again in some \
+                 seconds"
+            ));
+        }
         for Other { path, directory } in Orphan::others(&directory) {
             let remedy = match directory {
                 Some(directory) => format!(

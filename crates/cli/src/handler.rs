@@ -12,7 +12,7 @@ use fieldbeat_control::{
 use fieldbeat_core::axis::feedback::FaultNames;
 use fieldbeat_core::axis::{Axis, Fault, Link, StopCause};
 use fieldbeat_core::rt::thread::helper_thread;
-use fieldbeat_master::Master;
+use fieldbeat_master::{Master, NoGuardian};
 use fieldbeat_record::Summary;
 use fieldbeat_record::blackbox::Written;
 use fieldbeat_telemetry::{DriveEmergency, Failure, Measured, Monitor};
@@ -130,6 +130,9 @@ impl Handler {
                 "internal error: the operation of the axes panicked: the master ends; please report it";
             master.monitor().failed(what, true);
             master.stop();
+        }
+        if let Some(why @ NoGuardian::Ended) = master.no_guardian() {
+            master.monitor().failed(&why.to_string(), false);
         }
         if self.is_blind {
             return;

@@ -44,6 +44,7 @@ use std::time::Duration;
 use anstyle::AnsiColor;
 use clap::error::{ContextKind, ContextValue, ErrorKind};
 use clap::{CommandFactory, Parser, Subcommand};
+use fieldbeat_master::guardian_main;
 use fieldbeat_tools::Stop;
 use nix::sys::resource::{Resource, getrlimit, setrlimit};
 
@@ -111,8 +112,9 @@ enum Command {
     Man(manual::Manual),
 }
 
-/// Parses the arguments and runs the command.
+/// Parses the arguments and runs the command; or is the guardian of a master.
 pub fn main() -> ExitCode {
+    guardian_main();
     // As many descriptors as this process may have: those of status and metrics never take the last one of a drive.
     if let Ok((_, hard)) = getrlimit(Resource::RLIMIT_NOFILE) {
         // Refused, it is what it was.

@@ -13,7 +13,7 @@ use super::handler::serve;
 use super::interrupt::{Interrupt, LOOK_EVERY};
 use super::masters::Running;
 use super::output::judge_end;
-use super::serving::with_usual_black_box;
+use super::serving::{Guarding, with_usual_black_box};
 use super::{Stop, complain, run};
 
 /// The longest that axes are waited for which their master stops.
@@ -52,8 +52,13 @@ impl Reached {
     }
 
     /// Those of a master in this process, which it ends.
-    pub fn alone(plan: Plan, interrupt: &Interrupt, command: &str) -> Result<Reached, Stop> {
-        let master = run::start(with_usual_black_box(plan), interrupt)?;
+    pub fn alone(
+        plan: Plan,
+        guarding: Guarding,
+        interrupt: &Interrupt,
+        command: &str,
+    ) -> Result<Reached, Stop> {
+        let master = run::start(guarding.setup(with_usual_black_box(plan)), interrupt)?;
         let axes = run::all_axes(&master)?;
         let station = Station::start(axes, master.monitor()).map_err(Stop::failed)?;
         let operator = Operator::local(&station);

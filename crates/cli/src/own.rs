@@ -11,6 +11,7 @@ use fieldbeat_tools::{Check, Drive, OwnMaster, Task};
 use super::interrupt::{Interrupt, LOOK_EVERY};
 use super::masters::Wanted;
 use super::output::{both, judge_end};
+use super::serving::Guarding;
 use super::{Stop, print, reach, run};
 
 /// A drive that is there answers sooner.
@@ -25,7 +26,12 @@ pub struct Own<'a> {
 
 impl<'a> Own<'a> {
     /// Starts it; refused next to a master that runs, and by `check`.
-    pub fn start(drive: &Drive, check: Check<'_>, interrupt: &'a Interrupt) -> Result<Own<'a>, Stop> {
+    pub fn start(
+        drive: &Drive,
+        guarding: Guarding,
+        check: Check<'_>,
+        interrupt: &'a Interrupt,
+    ) -> Result<Own<'a>, Stop> {
         let Drive { config, drive, pid } = drive;
         let (plan, notation) = reach::find(config, drive)?;
         if let Some(axis) = plan.axes().into_iter().find(|axis| axis.name == *drive) {
@@ -38,7 +44,7 @@ impl<'a> Own<'a> {
         let Some(plan) = plan.alone(drive) else {
             return Err(Stop::failed(format!("drive {drive} cannot be reached alone")));
         };
-        let master = run::start(Master::from_plan(plan), interrupt)?;
+        let master = run::start(guarding.setup(Master::from_plan(plan)), interrupt)?;
         let axis = master.axis(drive).map_err(Stop::failed)?;
         Ok(Own { master, axis, interrupt })
     }

@@ -148,7 +148,8 @@ fn alone(plan: &Plan, drive: &str, interrupt: &Interrupt) -> Result<Way, Stop> {
         bus.require_idle(&Os::default()).map_err(|error| refused(error.into()))?;
     }
     let probe = plan.facts().first().and_then(|bus| bus.probe);
-    let master = Master::from_plan(plan).confine().start().map_err(refused)?;
+    // It commands nothing that a guardian could stop.
+    let master = Master::from_plan(plan).without_guardian().confine().start().map_err(refused)?;
     let Some(acyclic) = master.acyclics().iter().find(|acyclic| acyclic.axis() == drive).cloned() else {
         return Err(Stop::failed(format!("drive {drive} has no acyclic access")));
     };

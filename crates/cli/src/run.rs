@@ -85,6 +85,9 @@ pub fn start(setup: Setup, interrupt: &Interrupt) -> Result<Master, Stop> {
         let what = "metrics, scope and control socket run without filters of system calls";
         complain(&format!("{what}: {error}; `fieldbeat doctor` says what to do"));
     }
+    if let Some(why) = master.no_guardian() {
+        complain(&why.to_string());
+    }
     Ok(master)
 }
 

@@ -30,6 +30,29 @@ pub struct Serving {
     /// The black box also has what passed the wires: `export --pcapng` makes a capture for Wireshark of its files.
     #[arg(long)]
     black_box_wire: bool,
+    #[command(flatten)]
+    guarding: Guarding,
+}
+
+/// Arguments of every command that moves drives by a master of its own.
+#[derive(Clone, Copy, Debug, Args)]
+pub struct Guarding {
+    /// Without a guardian, the process that stops the LinMots if this one is killed or hangs: they then move on to
+    /// their targets and stay powered. Other drives stop by their own watchdogs.
+    #[arg(long, global = true)]
+    no_guardian: bool,
+}
+
+impl Guarding {
+    /// As an option says.
+    pub fn new(no_guardian: bool) -> Guarding {
+        Guarding { no_guardian }
+    }
+
+    /// The machine, with or without it.
+    pub fn setup(self, setup: Setup) -> Setup {
+        if self.no_guardian { setup.without_guardian() } else { setup }
+    }
 }
 
 /// All of it can be had.
@@ -39,6 +62,7 @@ pub struct Served {
     scope: scope::Served,
     black_box: Option<Place>,
     black_box_wire: bool,
+    guarding: Guarding,
 }
 
 /// Answer for as long as they are held.
@@ -64,6 +88,7 @@ impl Serving {
             scope: self.scope.prepare()?,
             black_box: self.black_box.map(black_box).transpose()?,
             black_box_wire: self.black_box_wire,
+            guarding: self.guarding,
         })
     }
 }
@@ -75,9 +100,10 @@ impl Served {
             Some(place) => place.directory().to_owned(),
             None => usual_directory(&plan),
         };
+        let setup = self.guarding.setup(Master::from_plan(plan));
         match self.black_box_wire {
-            true => Master::from_plan(plan).with_black_box_and_wire(directory),
-            false => Master::from_plan(plan).with_black_box(directory),
+            true => setup.with_black_box_and_wire(directory),
+            false => setup.with_black_box(directory),
         }
     }
 

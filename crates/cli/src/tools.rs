@@ -15,6 +15,7 @@ use super::interrupt::Interrupt;
 use super::meter::Meter;
 use super::own::Own;
 use super::reach::Reach;
+use super::serving::Guarding;
 use super::{complain, print};
 
 /// One of them, with its arguments.
@@ -85,8 +86,13 @@ impl Program for Host {
         Ok(Box::new(Reach::open(drive, |_| Ok(()), &self.interrupt)?))
     }
 
-    fn own(&self, drive: &Drive, check: Check<'_>) -> Result<Box<dyn OwnMaster + '_>, Stop> {
-        Ok(Box::new(Own::start(drive, check, &self.interrupt)?))
+    fn own(
+        &self,
+        drive: &Drive,
+        no_guardian: bool,
+        check: Check<'_>,
+    ) -> Result<Box<dyn OwnMaster + '_>, Stop> {
+        Ok(Box::new(Own::start(drive, Guarding::new(no_guardian), check, &self.interrupt)?))
     }
 
     fn print(&self, text: &dyn Display) -> Result<(), Stop> {

@@ -54,6 +54,9 @@ pub(super) fn cycle(table: &mut Table<'_>) -> CyclePlan {
     let watch = "or \"off\"; the loop counts as stuck after so long without a sign of life";
     let watch_ns = table.time_or_off("watch_after", CyclePlan::watch_range_ns(period_ns), watch);
     set(&mut plan.watch_after, watch_ns.map(|ns| ns.map_or(WatchAfter::Off, WatchAfter::Fixed)));
+    let guardian = "or \"off\"; the guardian stops LinMots after so long without a sign of life";
+    let guardian_ns = table.time_or_off("guardian_after", CyclePlan::watch_range_ns(period_ns), guardian);
+    set(&mut plan.guardian_after, guardian_ns.map(|ns| ns.map_or(WatchAfter::Off, WatchAfter::Fixed)));
     let late = "the lateness above which a cycle is counted as late, with its cause";
     plan.late_ns = table.time("late", US..=period_ns, late);
     let kept = "the length of the recording that is kept for a failure; 0s keeps none";

@@ -4,11 +4,12 @@ use fieldbeat_core::axis::{
     AxisPlan, FollowingError, Health, HeldBy, InPosition, Load, OwnerLost, StopHow, StopThen, StopTimeout,
 };
 use fieldbeat_core::bus::desired::{Capabilities, Generator, Velocities};
+use fieldbeat_core::bus::last::ROUND_NS;
 use fieldbeat_core::bus::{BusFacts, DriveFacts};
 use fieldbeat_core::cycle::bound::{Pace, Paced, bound, group, paced_by, silence};
 use fieldbeat_core::cycle::record::Record;
+use fieldbeat_core::cycle::watch::Watch;
 use fieldbeat_core::cycle::{CyclePlan, Guard, Overrun, Plan, Shares, Wait};
-
 use fieldbeat_core::rt::{Memory, Realtime};
 use fieldbeat_core::time::{Ns, S, nanos};
 
@@ -20,16 +21,21 @@ pub fn describe(plan: &Plan) -> Vec<String> {
     let mut drives = paced.iter();
     let source = plan.source.as_ref().map_or("built in code".to_owned(), |path| path.display().to_string());
     let mut lines = vec![format!("{source}: {}, {}", taking_part(&facts), count(plan.buses.len(), "bus"))];
-    lines.extend(cycle(&plan.cycle));
+    let is_guarded = facts.iter().flat_map(|bus| &bus.drives).any(|drive| drive.has_last_resort);
+    lines.extend(cycle(&plan.cycle, is_guarded));
     for (bus, facts) in plan.buses.iter().zip(&facts) {
         let mut own = bus.describe(plan.cycle.grid()).into_iter();
         lines.push(format!("bus {}: {}, {}", bus.name(), facts.protocol, taking_part([facts])));
         let mut before: Option<(&str, Vec<String>)> = None;
-        for (DriveFacts { capabilities, .. }, drive) in facts.drives.iter().zip(drives.by_ref()) {
+        for (of, drive) in facts.drives.iter().zip(drives.by_ref()) {
             let paragraph = own.next().unwrap_or_default();
-            let mut own_lines = paragraph.lines().map(str::to_owned);
+            let mut own_lines = paragraph.lines().map(|line| match line.strip_prefix(DEATH) {
+                Some(rest) => DEATH.to_owned() + &guarded(rest.to_owned(), of, drive.axis, &plan.cycle),
+                None => line.to_owned(),
+            });
             let first = own_lines.next().unwrap_or_default();
-            let rest: Vec<String> = own_lines.chain(axis(drive, capabilities, &paced, &plan.cycle)).collect();
+            let rest: Vec<String> =
+                own_lines.chain(axis(drive, &of.capabilities, &paced, &plan.cycle)).collect();
             let drive = drive.axis;
             match &before {
                 Some((like, same)) if *same == rest => {
@@ -70,6 +76,34 @@ pub fn describe(plan: &Plan) -> Vec<String> {
     lines
 }
 
+/// What the sentence begins with that every protocol has for each of its drives.
+pub(super) const DEATH: &str = "if the master dies: ";
+
+/// What becomes of a drive if the master dies: `rest` by itself, or what its guardian does.
+pub(super) fn guarded(rest: String, facts: &DriveFacts, axis: &AxisPlan, cycle: &CyclePlan) -> String {
+    let Some(after_ns) = cycle.guardian_after_ns().filter(|_| facts.has_last_resort) else { return rest };
+    let (at_once_ns, timeout_ns) = (2 * ROUND_NS, nanos(axis.stop.timeout));
+    let requested = format!("its guardian requests the drive's quick stop within {}", Ns(at_once_ns));
+    let then = match axis.stop.then {
+        StopThen::Disable => "power off",
+        StopThen::Hold => "held with power",
+    };
+    let stop = match (axis.stop.how, axis.stop.on_timeout) {
+        (StopHow::Coast, _) => format!("its guardian switches it off within {}", Ns(at_once_ns)),
+        (_, StopTimeout::Disable) => format!(
+            "stops within {}: {requested}; at standstill {then}, without it after {} power off",
+            Ns(at_once_ns + timeout_ns),
+            Ns(timeout_ns),
+        ),
+        (_, StopTimeout::Hold) => format!("{requested}; at standstill {then}, without it powered"),
+    };
+    let hangs = match after_ns {
+        CyclePlan::DEATH_ALONE => "not if the master hangs (watch_after = \"off\")".to_owned(),
+        after_ns => format!("{} later if the master hangs", Ns(Watch::latest_ns(after_ns))),
+    };
+    format!("{stop}; {hangs}; without the guardian: {rest}")
+}
+
 /// Drives; where there are none, devices.
 fn taking_part<'a>(buses: impl IntoIterator<Item = &'a BusFacts>) -> String {
     let counts = buses.into_iter().map(|bus| (bus.drives.len(), bus.devices.len()));
@@ -104,7 +138,7 @@ fn tolerated(Shares { late, skipped, unanswered }: Shares) -> String {
     }
 }
 
-fn cycle(cycle: &CyclePlan) -> Vec<String> {
+fn cycle(cycle: &CyclePlan, is_guarded: bool) -> Vec<String> {
     let core = cycle.core.map_or("the last core".to_owned(), |core| format!("core {core}"));
     let memory = match cycle.memory {
         Memory::Process => "all memory of the process locked",
@@ -159,6 +193,18 @@ fn cycle(cycle: &CyclePlan) -> Vec<String> {
         ),
         None => "  nobody watches whether its cycle ends (watch_after = \"off\")".to_owned(),
     });
+    lines.extend(is_guarded.then(|| {
+        let stops = "  a guardian, a process of its own, stops the LinMot drives if this one dies";
+        match cycle.guardian_after_ns() {
+            Some(CyclePlan::DEATH_ALONE) => stops.to_owned(),
+            Some(after) => format!("{stops}, or gives no sign of life for {}", Ns(after)),
+            None => {
+                "  no guardian (guardian_after = \"off\"): a LinMot whose master dies moves on, and stays \
+                     powered"
+                    .to_owned()
+            }
+        }
+    }));
     lines.push(format!(
         "  a cycle that is late by more than {} is counted with its cause",
         Ns(cycle.late_ns())

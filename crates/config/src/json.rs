@@ -3,6 +3,7 @@
 use serde_json::{Value, json};
 
 use super::cycle::{COSTS, MEMORIES, REALTIMES, WAITS};
+use super::describe::{DEATH, guarded};
 use fieldbeat_core::axis::Load;
 use fieldbeat_core::bus::{DriveFacts, ReplyWithin};
 use fieldbeat_core::cycle::bound::{Paced, bound, group, paced_by};
@@ -18,7 +19,8 @@ use fieldbeat_keys::error::ConfigError;
 /// - `cycle`: `period_ns`, `core` (null: the last one), `priority`, `realtime`, `memory`, `guard` (`"off"`, `"fixed"`
 ///   or `"auto"`), `guard_ns`, `wait`, `deadline_ns`, `overrun`, `max_skip`, `max_skip_rate`,
 ///   `max_late_share`, `max_skipped_share`, `max_unanswered_share`, `cost`, `late_ns`, `task_budget_ns`,
-///   `heartbeat_ns`, `reference`, `black_box_ns`.
+///   `heartbeat_ns`, `watch_after_ns`, `guardian`, `guardian_after_ns` (null: once the process has died alone),
+///   `reference`, `black_box_ns`.
 /// - `buses`: a list of `name`, `protocol`, `has_clock`, and the names of its `drives` and `devices`.
 /// - `drives`: a list in slot order of `name`, `bus`, `protocol`, `address`, `unit`, `divisor`, `phase`, `period_ns`
 ///   (of its exchanges), `reply_within_ns` (on a connection), `stops_with` (the drives that stop together, itself
@@ -90,6 +92,8 @@ fn cycle(cycle: &CyclePlan) -> Value {
         "task_budget_ns": cycle.task_budget_ns,
         "heartbeat_ns": cycle.heartbeat_ns,
         "watch_after_ns": cycle.watch_after_ns(),
+        "guardian": cycle.guardian_after_ns().is_some(),
+        "guardian_after_ns": cycle.guardian_after_ns().filter(|ns| *ns != CyclePlan::DEATH_ALONE),
         "reference": cycle.reference,
         "black_box_ns": cycle.black_box_ns,
     })
@@ -141,7 +145,9 @@ fn drive(
         "load": load,
         "held_by": held_by,
         "drive_watchdog_ns": facts.watchdog_ns,
-        "if_master_dies": lines.lines().find_map(|line| line.strip_prefix(DEATH)),
+        "if_master_dies": lines.lines().find_map(|line| {
+            line.strip_prefix(DEATH).map(|rest| guarded(rest.to_owned(), facts, axis, cycle))
+        }),
     })
 }
 
@@ -149,6 +155,3 @@ fn drive(
 fn word<T: PartialEq>(words: &[(&'static str, T)], value: T) -> Option<&'static str> {
     words.iter().find(|(_, meaning)| *meaning == value).map(|(word, _)| *word)
 }
-
-/// What the sentence begins with that every protocol has for each of its drives.
-const DEATH: &str = "if the master dies: ";

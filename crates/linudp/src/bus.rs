@@ -6,7 +6,7 @@ use std::os::fd::RawFd;
 use super::counters::OWN;
 use super::diagnosis::DIAGNOSIS;
 use super::fields::layout;
-use super::last::LastStop;
+use super::last::last_resort;
 use super::notation::Upids;
 use super::plan::{LinUdpDrive, LinUdpPlan, MonitorPlan, Serial};
 use super::profile;
@@ -47,7 +47,7 @@ struct LinUdpBus {
 
 impl LinUdpBus {
     /// Opens the socket of `plan`.
-    pub fn open(plan: &LinUdpPlan, carriers: &dyn Carriers) -> Result<Opened, OpenError> {
+    pub fn open(plan: &LinUdpPlan, period_ns: u64, carriers: &dyn Carriers) -> Result<Opened, OpenError> {
         let addresses = plan.drives.iter().map(|drive| (&drive.axis, drive.address));
         let locks = drives::lock(&plan.name, addresses, carriers)?;
         // Until its bucket is full, an absent drive gets its requests like any other.
@@ -66,8 +66,14 @@ impl LinUdpBus {
         let note =
             |(drive, station): (&LinUdpDrive, &Station)| (drive.address, drive.serial, station.serial_note());
         let notes = SerialNotes(plan.drives.iter().zip(&stations).map(note).collect());
-        let powers = stations.iter().map(Station::power_sent);
-        let last = twin.map(|twin| LastStop::new(twin, plan.drives.iter().zip(powers)));
+        let drives = || plan.drives.iter().map(|drive| last_resort(drive, period_ns)).collect();
+        let last = |twin| LastResort::new(twin, drives(), &locks);
+        let last_resort = twin.map(last).transpose().map_err(refused)?;
+        for (index, station) in stations.iter_mut().enumerate() {
+            if let Some(last) = &last_resort {
+                station.note_power_in(last.power_sent(index));
+            }
+        }
         let bus = LinUdpBus {
             net,
             outbox: Outbox::new(&peers, REQUEST_MAX),
@@ -79,7 +85,6 @@ impl LinUdpBus {
             is_void: false,
             _locks: locks,
         };
-        let last_resort = last.map(|last| Box::new(last) as Box<dyn LastResort>);
         Ok(Opened { last_resort, ..Opened::new(bus, ends, notes) })
     }
 
@@ -282,6 +287,7 @@ impl BusPlan for LinUdpPlan {
         let drive = |drive: &LinUdpDrive| DriveFacts {
             reply_within: ReplyWithin::Cycles(drive.replies_within()),
             monitored: drive.monitor.channels(),
+            has_last_resort: true,
             ..DriveFacts::at(drive.address, profile::capabilities(drive))
         };
         BusFacts {
@@ -302,8 +308,8 @@ impl BusPlan for LinUdpPlan {
         layout()
     }
 
-    fn open(&self, _period_ns: u64, carriers: &dyn Carriers) -> Result<Opened, OpenError> {
-        LinUdpBus::open(self, carriers)
+    fn open(&self, period_ns: u64, carriers: &dyn Carriers) -> Result<Opened, OpenError> {
+        LinUdpBus::open(self, period_ns, carriers)
     }
 
     fn reaching(&self, index: usize) -> Option<Box<dyn BusPlan>> {

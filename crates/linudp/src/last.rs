@@ -1,221 +1,85 @@
-//! The last resort: the stop of LinMot drives by control words alone, when the loop cannot send one any more.
+//! The last resort of LinMot drives: their stop by control words alone, when the loop cannot send one any more.
 //!
-//! A LinUDP drive has no watchdog: after a loop that hangs it runs to its target and stays powered. What is sent here
-//! holds without the newest state of the conversation. It carries no motion command, so no count that could start one,
-//! and no parameter channel. /Abort = 0 brakes by the drive's quick stop and keeps the axis controlled, so that no load
-//! drops (sheet, 3.1); /Freeze would run on when it is released, and OFF3 ends in power off. The telegrams leave from
-//! the socket of the loop, since a drive may obey its first master only (single-master filter), and by its port alone.
+//! A LinUDP drive has no watchdog: after a loop that hangs, or a master that has died, it runs to its target and stays
+//! powered. What is sent here holds without the newest state of the conversation. It carries no motion command, so no
+//! count that could start one, and no parameter channel. /Abort = 0 brakes by the drive's quick stop and keeps the axis
+//! controlled, so that no load drops (sheet, 3.1); /Freeze would run on when it is released, and OFF3 ends in power
+//! off. Of a drive whose parameters force the bit, the stop ends by its time-out. The telegrams leave from the socket
+//! of the loop, since a drive may obey its first master only (single-master filter), and by its port alone.
 //!
-//! As in the stop sequence of the master, power goes off where the stop plan says so when no standstill is seen: none
-//! is seen here, since nothing is received.
-
-use std::net::{SocketAddrV4, UdpSocket};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicU8, Ordering};
+//! The response definition lacks a block that each reply to the loop has: the echo shows which reply belongs to it.
 
 use super::plan::LinUdpDrive;
-use super::wire::{ControlWord, REQUEST_MAX, Request, ResponseDef};
-use fieldbeat_core::axis::plan::{StopHow, StopTimeout};
-use fieldbeat_core::bus::LastResort;
-use fieldbeat_core::rt::Regions;
-use fieldbeat_core::time::{MS, nanos};
+use super::wire::{ControlWord, MainState, REQUEST_MAX, Request, ResponseDef, StatusWord};
+use fieldbeat_core::bus::last::{LastDrive, Reply, Telegram, Telegrams};
 
-/// For how long the last phase is repeated at least, ns: a drive takes a request within milliseconds, and switches,
-/// queues of the host and a busy drive may hold one up for some more.
-const REPEATED_NS: u64 = 250 * MS;
+/// What the reply shows.
+const REPORTED: ResponseDef =
+    ResponseDef(ResponseDef::STATUS.0 | ResponseDef::STATE.0 | ResponseDef::ACTUAL.0);
 
-/// What the newest request that left says of the drive's power.
-#[derive(Clone, Debug, Default)]
-pub(super) struct PowerSent(Arc<AtomicU8>);
+/// The main states without power; that of a drive that is booting is 0, too.
+const UNPOWERED: [MainState; 4] =
+    [MainState::NOT_READY, MainState::SWITCH_ON_DISABLED, MainState::READY_TO_SWITCH_ON, MainState::ERROR];
 
-/// No control word was sent: the drive is not commanded.
-const UNTOUCHED: u8 = 0;
-const OFF: u8 = 1;
-const ON: u8 = 2;
-
-impl PowerSent {
-    /// A request with this control word has left.
-    pub(super) fn note(&self, control: Option<ControlWord>) {
-        let Some(control) = control else { return };
-        self.0.store(if control.has(ControlWord::SWITCH_ON) { ON } else { OFF }, Ordering::Relaxed);
-    }
-
-    /// Adds the memory that it touches, to be locked.
-    pub(super) fn memory(&self, regions: &mut Regions) {
-        regions.add(&*self.0);
-    }
-}
-
-/// The last resort of the drives of one socket.
-#[derive(Debug)]
-pub(super) struct LastStop {
-    socket: UdpSocket,
-    drives: Box<[Drive]>,
-    halt: Telegram,
-    off: Telegram,
-}
-
-#[derive(Debug)]
-struct Drive {
-    address: SocketAddrV4,
-    sent: PowerSent,
-    /// Power goes off then, ns after the wires were taken.
-    off_after_ns: Option<u64>,
-    /// Its last phase has begun then.
-    last_after_ns: u64,
-}
-
-/// A request of a control word alone, ready to be sent.
-#[derive(Debug)]
-struct Telegram {
-    bytes: [u8; REQUEST_MAX],
-    length: usize,
-}
-
-impl Telegram {
-    fn new(control: ControlWord) -> Telegram {
+/// That of a drive in a cycle of `period_ns`.
+pub(super) fn last_resort(drive: &LinUdpDrive, period_ns: u64) -> LastDrive {
+    let telegram = |control| {
+        let request = Request { response_def: REPORTED, control, ..Request::default() };
         let mut bytes = [0; REQUEST_MAX];
-        let request =
-            Request { response_def: ResponseDef::STATUS, control: Some(control), ..Request::default() };
         let length = request.emit(&mut bytes);
-        Telegram { bytes, length }
-    }
-}
-
-impl LastStop {
-    /// That of these drives, over a twin of their socket.
-    pub(super) fn new<'a>(
-        socket: UdpSocket,
-        drives: impl Iterator<Item = (&'a LinUdpDrive, PowerSent)>,
-    ) -> LastStop {
-        let drive = |(drive, sent): (&LinUdpDrive, PowerSent)| {
-            let stop = &drive.axis.stop;
-            let timeout_ns = nanos(stop.timeout);
-            let off_after_ns = match (stop.how, stop.on_timeout) {
-                (StopHow::Coast, _) => Some(0),
-                (_, StopTimeout::Disable) => Some(timeout_ns),
-                (_, StopTimeout::Hold) => None,
-            };
-            Drive {
-                address: drive.address,
-                sent,
-                off_after_ns,
-                last_after_ns: off_after_ns.unwrap_or(timeout_ns),
-            }
-        };
-        LastStop {
-            socket,
-            drives: drives.map(drive).collect(),
-            halt: Telegram::new(ControlWord::ABORT),
-            off: Telegram::new(ControlWord::BASE),
-        }
-    }
-}
-
-impl LastResort for LastStop {
-    fn send(&mut self, since_ns: u64) {
-        for drive in &self.drives {
-            let telegram = match drive.sent.0.load(Ordering::Relaxed) {
-                UNTOUCHED => continue,
-                // Switch On = 1 would switch it on.
-                OFF => &self.off,
-                _ if drive.off_after_ns.is_some_and(|after| since_ns >= after) => &self.off,
-                _ => &self.halt,
-            };
-            // One that the host refuses is sent again with the next turn.
-            let _ = self.socket.send_to(&telegram.bytes[..telegram.length], drive.address);
-        }
-    }
-
-    fn over_after_ns(&self) -> u64 {
-        let last = self.drives.iter().map(|drive| drive.last_after_ns).max().unwrap_or(0);
-        last.saturating_add(REPEATED_NS)
-    }
+        Telegram::new(&bytes[..length])
+    };
+    let telegrams = Telegrams {
+        look: telegram(None),
+        halt: telegram(Some(ControlWord::ABORT)),
+        off: telegram(Some(ControlWord::BASE)),
+    };
+    let at = |block| REPORTED.at(block) as u8;
+    let reply = Reply {
+        unpowered: UNPOWERED.into_iter().fold(0, |states, state| states | 1 << state.0),
+        unit: drive.axis.units.distance(1.0),
+        moving: StatusWord::MOTION_ACTIVE | StatusWord::SPECIAL_MOTION,
+        status_at: at(ResponseDef::STATUS),
+        // The main state is the high byte.
+        state_at: at(ResponseDef::STATE) + 1,
+        position_at: at(ResponseDef::ACTUAL),
+    };
+    LastDrive::new(&drive.axis, period_ns, drive.address, telegrams, reply)
 }
 
 #[cfg(test)]
 mod tests {
-    use std::time::Duration;
-
     use super::*;
-    use fieldbeat_core::net::Datagrams;
-    use fieldbeat_core::net::UdpOptions;
-    use fieldbeat_core::net::udp::Udp;
-    use fieldbeat_core::time::S;
+    use fieldbeat_core::bus::last::Sighted;
+    use fieldbeat_core::time::MS;
 
-    /// Sheet, 2.3 and 3.1: a control word alone, and the status word in reply.
-    const ABORT: [u8; 10] = [0x01, 0, 0, 0, 0x01, 0, 0, 0, 0x2F, 0];
-    const SWITCH_OFF: [u8; 10] = [0x01, 0, 0, 0, 0x01, 0, 0, 0, 0x3E, 0];
-
-    /// A drive's socket, and the last resort of a master that has one drive with this stop plan.
-    struct Bench {
-        drive: UdpSocket,
-        master: Udp,
-        last: LastStop,
-        sent: PowerSent,
-    }
-
-    impl Bench {
-        fn new(how: StopHow, on_timeout: StopTimeout) -> Bench {
-            let drive = UdpSocket::bind("127.0.0.1:0").unwrap();
-            drive.set_read_timeout(Some(Duration::from_secs(60))).unwrap();
-            let options = UdpOptions { peers: 1, waiting: 0, room: 128, dscp: 0, groups: 0 };
-            let master = Udp::bind("127.0.0.1:0".parse().unwrap(), &options).unwrap();
-            let mut plan = LinUdpDrive::new("x", [127, 0, 0, 1].into());
-            plan.address.set_port(drive.local_addr().unwrap().port());
-            let stop = &mut plan.axis.stop;
-            (stop.how, stop.on_timeout, stop.timeout) = (how, on_timeout, Duration::from_secs(3));
-            let sent = PowerSent::default();
-            let last = LastStop::new(master.twin().unwrap().unwrap(), [(&plan, sent.clone())].into_iter());
-            Bench { drive, master, last, sent }
-        }
-
-        /// What the drive gets so long after the wires were taken.
-        fn gets(&mut self, since_ns: u64) -> Vec<u8> {
-            self.last.send(since_ns);
-            let mut bytes = [0; 64];
-            let (length, from) = self.drive.recv_from(&mut bytes).unwrap();
-            let of_loop = self.master.twin().unwrap().unwrap().local_addr().unwrap();
-            assert_eq!(from, of_loop, "a drive may obey this address only");
-            bytes[..length].to_vec()
-        }
-    }
-
+    /// Sheet, 2.3 and 3.1: a control word alone; the status word, the state and the actual position in reply.
     #[test]
-    fn a_powered_drive_is_halted_and_held_and_then_switched_off_if_its_plan_says_so() {
-        let mut bench = Bench::new(StopHow::Ramp, StopTimeout::Disable);
-        bench.sent.note(Some(ControlWord::HOME));
-        assert_eq!(bench.gets(0), ABORT);
-        assert_eq!(bench.gets(3 * S - 1), ABORT);
-        assert_eq!(bench.gets(3 * S), SWITCH_OFF);
-        assert_eq!(bench.last.over_after_ns(), 3 * S + REPEATED_NS);
-
-        let mut bench = Bench::new(StopHow::Quick, StopTimeout::Hold);
-        bench.sent.note(Some(ControlWord::ON));
-        assert_eq!((bench.gets(0), bench.gets(3_600 * S)), (ABORT.to_vec(), ABORT.to_vec()));
-        assert_eq!(bench.last.over_after_ns(), 3 * S + REPEATED_NS);
-
-        let mut bench = Bench::new(StopHow::Coast, StopTimeout::Hold);
-        bench.sent.note(Some(ControlWord::ON));
-        assert_eq!(bench.gets(0), SWITCH_OFF);
-        assert_eq!(bench.last.over_after_ns(), REPEATED_NS);
-    }
-
-    #[test]
-    fn a_drive_that_is_off_is_not_switched_on_and_one_that_is_not_commanded_gets_nothing() {
-        let mut bench = Bench::new(StopHow::Ramp, StopTimeout::Hold);
-        bench.sent.note(None);
-        bench.last.send(0);
-        bench.drive.set_nonblocking(true).unwrap();
-        assert!(bench.drive.recv(&mut [0; 64]).is_err());
-        bench.drive.set_nonblocking(false).unwrap();
-        for word in [ControlWord::ON, ControlWord::ACKNOWLEDGE] {
-            bench.sent.note(Some(word));
-        }
-        assert_eq!(bench.gets(0), SWITCH_OFF);
-        // A request without a control word changes nothing.
-        bench.sent.note(Some(ControlWord::ON));
-        bench.sent.note(None);
-        assert_eq!(bench.gets(0), ABORT);
+    fn a_control_word_alone_is_sent_and_the_reply_to_it_is_no_reply_to_the_loop() {
+        let mut drive = LinUdpDrive::new("x", [127, 0, 0, 1].into());
+        drive.axis.units.counts_per_unit = 10_000.0;
+        let last = last_resort(&drive, MS);
+        let Telegrams { look, halt, off } = last.telegrams();
+        assert_eq!(look.bytes(), [0, 0, 0, 0, 0x07, 0, 0, 0]);
+        assert_eq!(halt.bytes(), [0x01, 0, 0, 0, 0x07, 0, 0, 0, 0x2F, 0]);
+        assert_eq!(off.bytes(), [0x01, 0, 0, 0, 0x07, 0, 0, 0, 0x3E, 0]);
+        // Aborting, and the setpoint generator still runs; 1 mm.
+        let moving = [0x01, 0, 0, 0, 0x07, 0, 0, 0, 0x37, 0x20, 0, 12, 0x10, 0x27, 0, 0];
+        let reply = last.reply();
+        assert_eq!(
+            reply.read(&halt, &moving),
+            Some(Sighted { powered: true, moving: true, position: 10_000 })
+        );
+        assert_eq!(reply.unit, 1e-4);
+        let mut standing = moving;
+        (standing[9], standing[11]) = (0, 2);
+        assert_eq!(
+            reply.read(&halt, &standing),
+            Some(Sighted { powered: false, moving: false, position: 10_000 })
+        );
+        let mut of_the_loop = moving;
+        of_the_loop[4] = ResponseDef::FRONT.0 as u8;
+        assert_eq!(reply.read(&halt, &of_the_loop), None);
+        assert_eq!(reply.read(&look, &moving), None);
     }
 }

@@ -8,7 +8,6 @@
 use std::mem::offset_of;
 
 use super::channel::MotionChannel;
-use super::last::PowerSent;
 use super::motion::{
     Acceleration, MotionCommand, Position, SignedAcceleration, SignedVelocity, StreamCommand, Velocity,
 };
@@ -23,6 +22,7 @@ use fieldbeat_core::bus::desired::{
     Capabilities, Desired, Evidence, FaultIs, Generator, Homing, Motion, Power, Ranges, Refused, Resettable,
     Setpoint, Velocities,
 };
+use fieldbeat_core::bus::last::PowerSent;
 use fieldbeat_core::rt::Regions;
 use fieldbeat_core::time::{Time, nanos};
 
@@ -217,9 +217,9 @@ impl Profile {
         self.power_sent.memory(regions);
     }
 
-    /// What its requests that left say of the drive's power.
-    pub(super) fn power_sent(&self) -> PowerSent {
-        self.power_sent.clone()
+    /// From now on it notes here what its requests that left say of the drive's power.
+    pub(super) fn note_power_in(&mut self, power_sent: PowerSent) {
+        self.power_sent = power_sent;
     }
 
     /// The revision of what its requests and the replies have led to.
@@ -300,8 +300,8 @@ impl Profile {
     #[inline(never)]
     fn sent_new(&mut self, native: &mut NativePort) {
         if let Some((before, state)) = self.state.leave() {
-            if state.control != before.control {
-                self.power_sent.note(state.control);
+            if let Some(control) = state.control.filter(|_| state.control != before.control) {
+                self.power_sent.note(control.has(ControlWord::SWITCH_ON));
             }
             let begins = state.serials.motion != before.serials.motion;
             native.left(state.native_taken != before.native_taken, begins.then_some(state.is_native));

@@ -50,7 +50,7 @@ pub struct Assembly<C> {
     /// Who may use the wires.
     pub wires: Wires,
     /// What stops the drives of buses without the loop.
-    pub last_resorts: Vec<Box<dyn LastResort>>,
+    pub last_resorts: Vec<LastResort>,
     /// Memory that the loop touches, for [`rt::thread::enter`].
     pub regions: Regions,
 }
@@ -78,19 +78,20 @@ impl Devices {
 }
 
 /// Opens the buses of `plan` over `carriers` and builds the loop for a caller that steps it by hand on its own
-/// thread, clock and carriers: virtual time and the benches. `kept` says which of the loop's records stay at hand.
-/// Sends nothing.
+/// thread, clock and carriers: virtual time and the benches. `wires` are new ones. `kept` says which of the loop's
+/// records stay at hand. Sends nothing.
 pub fn assemble<C: Clock>(
     plan: &Plan,
     clock: C,
     carriers: &dyn Carriers,
     task: Option<Task>,
     control: Control,
+    wires: Wires,
     kept: Kept,
 ) -> Result<Assembly<C>, OpenError> {
     let (period_ns, grid) = (plan.cycle.period_ns, plan.cycle.grid());
     let pulse = Pulse::default();
-    let (wires, mut last_resorts) = (Wires::default(), Vec::new());
+    let mut last_resorts = Vec::new();
     let mut regions = Regions::default();
     let (mut entries, mut buses) = (Vec::new(), Vec::new());
     let (mut axes, mut acyclics) = (Vec::new(), Vec::new());

@@ -1,12 +1,14 @@
 //! A machine: the checked plan, the open buses, the loop's thread and the application's handles, joined.
 //!
 //! `assembly` builds the loop and the handles from a plan, for whatever clock and thread; here they get the loop's
-//! thread, the telemetry and the application; `log` begins the log of the loop's inputs, if one is wanted; `process`
-//! ends what runs when the process ends; `watch` sees a loop whose cycle does not end.
+//! thread, the telemetry and the application; `guardian` is the process that stops drives in place of this one; `log`
+//! begins the log of the loop's inputs, if one is wanted; `process` ends what runs when the process ends; `watch` sees
+//! a loop whose cycle does not end.
 
 mod assembly;
 #[cfg(feature = "files")]
 mod files;
+mod guardian;
 mod log;
 mod process;
 #[cfg(feature = "sim")]
@@ -22,6 +24,8 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 use thiserror::Error;
 
 pub use self::assembly::{Assembly, Devices, assemble};
+use self::guardian::Guardian;
+pub use self::guardian::{NoGuardian, guardian_main};
 use self::process::Running;
 pub use self::process::{ENDING, action_of};
 pub(crate) use self::watch::LoopWatch;
@@ -31,16 +35,18 @@ use fieldbeat_core::axis::{Axis, Group, GroupError, Link, Pulse, StopCause};
 use fieldbeat_core::bus::diagnosis::NOT_YET;
 use fieldbeat_core::bus::{Cycle, OpenError};
 use fieldbeat_core::cycle::cost::{Costs, Demand};
-use fieldbeat_core::cycle::engine::Control;
+use fieldbeat_core::cycle::engine::{Control, LoopPanic};
 use fieldbeat_core::cycle::ring::Kept;
 use fieldbeat_core::cycle::status::{AtEnd, Numbers};
 use fieldbeat_core::cycle::task::{Axes, Task};
-use fieldbeat_core::cycle::{self, OnCost, Plan, PlanErrors};
+use fieldbeat_core::cycle::{self, OnCost, Plan, PlanErrors, WatchAfter};
+use fieldbeat_core::drive::last::LastStop;
 use fieldbeat_core::logged::{LoggedCarriers, LoggedClock};
 use fieldbeat_core::net::{Carriers, Os};
 use fieldbeat_core::rt::watch::ThreadWatch;
 use fieldbeat_core::rt::{
-    self, Clock, Memory, MonotonicClock, Realtime, RealtimeError, RealtimePlan, Regions, Usage,
+    self, Clock, Held, Memory, MonotonicClock, Realtime, RealtimeError, RealtimePlan, Regions, Usage, Wires,
+    Words,
 };
 use fieldbeat_core::time::{self, Time};
 use fieldbeat_telemetry::log::{LogSink, MachineOf};
@@ -62,6 +68,7 @@ pub struct Setup {
     sink: Option<(PathBuf, Box<dyn Sink>)>,
     stop_on_signals: bool,
     confine: bool,
+    guardian: Option<PathBuf>,
 }
 
 impl std::fmt::Debug for Setup {
@@ -87,6 +94,8 @@ pub struct Master {
     control: Control,
     telemetry: TelemetryThread,
     watch: LoopWatch,
+    guardian: Option<Guardian>,
+    no_guardian: Option<NoGuardian>,
     thread: Option<JoinHandle<Numbers>>,
 }
 
@@ -300,6 +309,13 @@ impl Master {
         self.pulse.beat();
     }
 
+    /// Why nothing stops the drives that have no watchdog of their own, the LinMots, if this process is killed; `None`:
+    /// a [guardian](guardian_main) does, or there are no such drives.
+    pub fn no_guardian(&self) -> Option<NoGuardian> {
+        let lack = || self.guardian.as_ref().filter(|_| self.is_running())?.lack();
+        self.no_guardian.clone().or_else(lack)
+    }
+
     /// Requests the orderly end, unless it was requested already: a second request would shorten the waits.
     /// [`finish`](Master::finish) waits for the end.
     pub fn stop(&self) {
@@ -328,7 +344,10 @@ impl Master {
             std::thread::sleep(Duration::from_millis(1));
         }
         let end = thread.join();
-        self.watch.end(end.is_err());
+        // Nobody has stopped the drives of a bus that was left out.
+        let died = end.as_ref().map_or(true, |end| end.panic.as_ref().is_some_and(LoopPanic::leaves_drives));
+        self.watch.end(died);
+        self.guardian = None;
         Some(end)
     }
 
@@ -342,7 +361,7 @@ impl Master {
         let (end, failed) = match self.join() {
             Some(Ok(end)) => {
                 let panic = end.panic.as_ref().map(ToString::to_string);
-                let stuck = self.watch.is_stuck().then(|| watch::STUCK.to_owned());
+                let stuck = self.watch.stuck(panic.is_some());
                 let failed: Vec<String> = panic.into_iter().chain(stuck).collect();
                 (end, (!failed.is_empty()).then(|| failed.join("; ")))
             }
@@ -351,7 +370,7 @@ impl Master {
                     "internal error: the loop's thread panicked outside of its cycle; please report it";
                 (self.abandoned(), Some(failed.to_owned()))
             }
-            None => (self.abandoned(), Some(watch::STUCK.to_owned())),
+            None => (self.abandoned(), self.watch.stuck(false)),
         };
         let measured = self.telemetry.finish(&end.status, failed);
         self.monitor.ended(end, measured)
@@ -422,6 +441,20 @@ impl Setup {
         self
     }
 
+    /// The program of the guardian, if this one does not call [`guardian_main`]: the program `fieldbeat` of the same
+    /// version.
+    pub fn with_guardian(mut self, program: impl Into<PathBuf>) -> Setup {
+        self.guardian = Some(program.into());
+        self
+    }
+
+    /// There is no guardian (`guardian_after = "off"`): if this process is killed, a LinMot moves on to its target and
+    /// stays powered.
+    pub fn without_guardian(mut self) -> Setup {
+        self.plan.cycle.guardian_after = WatchAfter::Off;
+        self
+    }
+
     /// Opens the buses and starts the loop. When it returns, nothing but the first probes has been sent.
     pub fn start(mut self) -> Result<Master, StartError> {
         self.plan.check()?;
@@ -465,7 +498,7 @@ impl Setup {
         realtime: RealtimePlan,
         mut regions: Regions,
     ) -> Result<Master, StartError> {
-        let Setup { plan, task, black_box, sink, stop_on_signals, confine, .. } = self;
+        let Setup { plan, task, black_box, sink, stop_on_signals, confine, guardian, .. } = self;
         let has_task = task.is_some();
         if stop_on_signals {
             process::catch_signals(realtime.core_to_be()).map_err(StartError::Thread)?;
@@ -475,7 +508,8 @@ impl Setup {
         let control = running.control();
         let steal_before_ms = rt::host::steal_ms(None);
         let kept = kept_for(&plan, black_box.as_deref(), true);
-        let assembly = assemble(&plan, clock, carriers, task, control.clone(), kept)?;
+        let words = Held::handed(vec![Words::default()]);
+        let assembly = assemble(&plan, clock, carriers, task, control.clone(), Wires::of(words), kept)?;
         let Assembly {
             mut engine,
             axes,
@@ -490,6 +524,16 @@ impl Setup {
             regions: own,
         } = assembly;
         regions.extend(&own);
+        // Before anything is locked, and before the loop begins.
+        let guarded = (!last_resorts.is_empty()).then(|| {
+            let after_ns = plan.cycle.guardian_after_ns().ok_or(NoGuardian::Off)?;
+            Guardian::start(guardian, &wires, &last_resorts, records.descriptor(), after_ns, &realtime)
+        });
+        let (guardian, no_guardian) = match guarded.transpose() {
+            Ok(guardian) => (guardian, None),
+            Err(why) => (None, Some(why)),
+        };
+        let last_stops: Vec<LastStop> = last_resorts.into_iter().map(LastStop::new).collect();
 
         let (report, reported) = crossbeam_channel::bounded(1);
         let thread = std::thread::Builder::new()
@@ -526,8 +570,8 @@ impl Setup {
         let core = granted.core;
         let (after_ns, period_ns) = (plan.cycle.watch_after_ns(), plan.cycle.period_ns);
         let watching = match after_ns {
-            Some(after_ns) => LoopWatch::start(wires, after_ns, period_ns, granted.clone(), last_resorts),
-            None => Ok(LoopWatch::none(wires)),
+            Some(after_ns) => LoopWatch::start(wires, after_ns, period_ns, granted.clone(), last_stops),
+            None => Ok(LoopWatch::none(wires, last_stops.iter().map(LastStop::shared).collect())),
         };
         // A kernel that does not report it leaves more cycles without a known cause.
         let watch = ThreadWatch::open(tid, core).ok();
@@ -568,6 +612,8 @@ impl Setup {
             control,
             telemetry,
             watch: watching,
+            guardian,
+            no_guardian,
             thread: Some(thread),
         })
     }

@@ -137,6 +137,7 @@ impl Setup {
             carriers,
             task,
             control.clone(),
+            Wires::default(),
             kept_for(&plan, black_box.as_deref(), false),
         )?;
         engine.begin();
@@ -227,7 +228,9 @@ impl Simulation {
             pulse,
             control,
             telemetry,
-            watch: LoopWatch::none(self.wires),
+            watch: LoopWatch::none(self.wires, Vec::new()),
+            guardian: None,
+            no_guardian: None,
             thread: Some(thread),
         })
     }

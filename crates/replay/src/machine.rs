@@ -12,6 +12,7 @@ use fieldbeat_core::cycle::task::{Axes, Task};
 use fieldbeat_core::inputs::replaying::Source;
 use fieldbeat_core::inputs::{InputLog, Replaying};
 use fieldbeat_core::logged::{ReplayCarriers, ReplayClock};
+use fieldbeat_core::rt::Wires;
 use fieldbeat_master::{Assembly, assemble};
 
 /// The code of the in-loop task of a repeated run.
@@ -101,8 +102,15 @@ impl Replay {
             })),
         };
         let carriers = ReplayCarriers::new(&log);
-        let Assembly { mut engine, axes, records, .. } =
-            assemble(&plan, ReplayClock::new(&log), &carriers, task, Control::default(), Kept::default())?;
+        let Assembly { mut engine, axes, records, .. } = assemble(
+            &plan,
+            ReplayClock::new(&log),
+            &carriers,
+            task,
+            Control::default(),
+            Wires::default(),
+            Kept::default(),
+        )?;
         engine.begin();
         let observers = axes.iter().map(Axis::observer).collect();
         Ok(Replay {

@@ -89,8 +89,14 @@ pub trait Program {
     fn reach(&self, drive: &Drive) -> Result<Box<dyn Reached>, Stop>;
 
     /// A master of its own for one drive, which it may move. Refused next to a master that runs, and where `check`
-    /// finds that what is wanted of the axis cannot be: nothing was sent then.
-    fn own(&self, drive: &Drive, check: Check<'_>) -> Result<Box<dyn OwnMaster + '_>, Stop>;
+    /// finds that what is wanted of the axis cannot be: nothing was sent then. Its drive has a guardian unless
+    /// `no_guardian` is set.
+    fn own(
+        &self,
+        drive: &Drive,
+        no_guardian: bool,
+        check: Check<'_>,
+    ) -> Result<Box<dyn OwnMaster + '_>, Stop>;
 
     /// Prints to standard output.
     fn print(&self, text: &dyn Display) -> Result<(), Stop>;

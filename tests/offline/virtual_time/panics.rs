@@ -14,7 +14,7 @@ use fieldbeat::time::Time;
 use fieldbeat::{CyclePlan, Flow, Plan};
 use fieldbeat_core::cycle::engine::{Control, Engine};
 use fieldbeat_core::cycle::ring::Kept;
-use fieldbeat_core::rt::{Clock, PollSet};
+use fieldbeat_core::rt::{Clock, PollSet, Wires};
 use fieldbeat_master::{Assembly, assemble};
 use fieldbeat_sim::world::WorldClock;
 
@@ -96,7 +96,8 @@ impl Machine {
         let clock = FusedClock { clock: world.clock(), left, panics };
         let control = Control::default();
         let Assembly { mut engine, axes, .. } =
-            assemble(plan, clock.clone(), &world, None, control.clone(), Kept::default()).unwrap();
+            assemble(plan, clock.clone(), &world, None, control.clone(), Wires::default(), Kept::default())
+                .unwrap();
         engine.begin();
         (Machine { engine, axes, buses: Vec::new(), clock, control }, world)
     }

@@ -6,7 +6,7 @@ use std::sync::{Arc, OnceLock};
 use fieldbeat::axis::{Abort, CommandId, Outcome, StopCause};
 use fieldbeat::sim::WorldOptions;
 use fieldbeat::{Flow, Master, Plan};
-use fieldbeat_core::rt::Wires;
+use fieldbeat_core::rt::{Taker, Wires};
 use fieldbeat_replay::machine::TaskOf;
 
 use super::replay::{Log, replay};
@@ -33,7 +33,7 @@ fn a_loop_that_finds_its_wires_taken_sends_nothing_more_and_latches_every_axis()
     let mut b = Rig::new(2).ready();
     b.run(10);
     let posted = b.post(0, slowly_to(150.0));
-    assert!(b.sim.wires().take());
+    assert!(b.sim.wires().take(Taker::Watch));
     let looks = b.looks();
     ends(&mut b, posted, 0);
     assert_eq!(b.looks(), looks, "it reads no replies either");
@@ -47,7 +47,7 @@ fn a_task_that_returns_after_the_wires_were_taken_commands_nothing_more() {
         .task(move |_, _| {
             // As if it had not returned for so long.
             if let Some(wires) = of_task.get() {
-                wires.take();
+                wires.take(Taker::Watch);
             }
         })
         .ready();
@@ -61,13 +61,13 @@ fn a_task_that_returns_after_the_wires_were_taken_commands_nothing_more() {
 fn an_end_by_itself_is_none_that_can_be_taken() {
     let mut b = Rig::new(2).ready();
     b.shut_down(5_000);
-    assert!(b.sim.wires().have_ended() && !b.sim.wires().take());
+    assert!(b.sim.wires().have_ended() && !b.sim.wires().take(Taker::Watch));
     assert_eq!(b.feedback(0).stopped, Some(StopCause::Shutdown));
     // One that is taken during the orderly end keeps the first cause.
     let mut b = Rig::new(2).ready();
     b.sim.stop();
     b.run(3);
-    assert!(b.sim.wires().take());
+    assert!(b.sim.wires().take(Taker::Watch));
     assert_eq!(b.step(), Flow::End);
     assert!(b.sim.wires().gave_way());
     assert_eq!(b.feedback(0).stopped, Some(StopCause::Shutdown));
@@ -82,7 +82,7 @@ fn a_recorded_loop_from_which_the_wires_were_taken_ends_in_the_same_cycle_when_i
     let log = Log::default();
     let mut sim = log.of(Master::from_plan(plan())).simulate(WorldOptions::default()).unwrap();
     sim.run(300);
-    assert!(sim.wires().take());
+    assert!(sim.wires().take(Taker::Watch));
     assert_eq!(sim.step(), Flow::End);
     assert_eq!(sim.feedback(0).stopped, Some(StopCause::LoopStuck));
     let end = sim.finish().status;

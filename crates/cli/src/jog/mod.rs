@@ -23,6 +23,7 @@ use super::interrupt::Interrupt;
 use super::masters::Wanted;
 use super::operating::{Left, Reached, described, place_of};
 use super::output::both;
+use super::serving::Guarding;
 use super::{Stop, load, print};
 
 /// How often the panel looks at the axes, and is drawn.
@@ -71,6 +72,8 @@ pub struct Jog {
     /// The process id of the master, where several of this configuration run.
     #[arg(long, value_name = "PID")]
     pid: Option<u32>,
+    #[command(flatten)]
+    guarding: Guarding,
 }
 
 impl Jog {
@@ -85,7 +88,7 @@ impl Jog {
         let mut reached = match wanted.find()? {
             Some(running) => Reached::remote(&running, COMMAND)?,
             None if self.pid.is_some() => return Err(Stop::failed(wanted.missing())),
-            None => Reached::alone(plan, &interrupt, COMMAND)?,
+            None => Reached::alone(plan, self.guarding, &interrupt, COMMAND)?,
         };
         reached.take().map_err(Stop::failed)?;
         let result = self.operate(&mut reached, selected, device, &interrupt);

@@ -197,11 +197,11 @@ fn text_of(outcome: Outcome, fault: Option<&str>, begun_by: Option<&(String, Sto
 }
 
 /// What a loop that is stuck means.
-pub const STUCK: &str = "the loop is stuck: its cycle has not ended within watch_after, and the wires were \
-                                taken from it";
+pub const STUCK: &str = "the loop is stuck: its cycle has not ended within watch_after (or \
+     guardian_after), and the wires were taken from it";
 /// What to do about it.
 pub const STUCK_REMEDY: &str = "look at the drives and at what holds the loop's thread up (the in-loop task, \
-     a driver of the host), and start the program again";
+     a driver of the host, a debugger), and start the program again";
 
 impl AxisError {
     /// It ended so only because another axis of its group did.

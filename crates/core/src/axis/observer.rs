@@ -73,7 +73,7 @@ mod tests {
         assert_eq!(observer.feedback(), online);
         wires.publish_silence(50);
         assert_eq!(observer.feedback(), Feedback { age: 53, ..online });
-        assert!(wires.take());
+        assert!(wires.take(crate::rt::Taker::Watch));
         wires.publish_silence(100);
         let stuck = Feedback { age: 103, link: Link::Lost, stopped: Some(StopCause::LoopStuck), ..online };
         assert_eq!(observer.feedback(), stuck);

@@ -11,24 +11,12 @@ use std::sync::Arc;
 use super::counters::{BusNumbers, Counters, OWN_COUNTERS};
 use super::desired::{Desired, Evidence, Gone};
 use super::drives::Ends;
+use super::last::LastResort;
 use super::native::Inputs;
 use crate::axis::{DriveStatus, Emergency, Link};
 use crate::net::LinkNotes;
 use crate::rt::Regions;
 use crate::time::Time;
-
-/// Stops the drives of a bus from another thread, once the wires were taken from a loop whose cycle does not end.
-///
-/// It shares no lock and no memory of a conversation with the loop, and what it sends holds whatever the loop has sent
-/// last: a request of the loop may be under way still, so the stop is repeated.
-pub trait LastResort: std::fmt::Debug + Send {
-    /// Sends the stop to every drive that the master commands; `since_ns` after the wires were taken. Never waits,
-    /// never allocates.
-    fn send(&mut self, since_ns: u64);
-
-    /// After so long all drives have been sent the last phase of their stop, ns.
-    fn over_after_ns(&self) -> u64;
-}
 
 /// One open bus on the real-time thread. `slots` are those of its own drives, in the order of its plan.
 ///
@@ -152,7 +140,7 @@ pub struct Opened {
     pub notes: Option<Arc<dyn Notes>>,
     /// What stops its drives without the loop, where they have no watchdog of their own for a silent master. `None`:
     /// its drives stop by themselves once nothing is sent any more.
-    pub last_resort: Option<Box<dyn LastResort>>,
+    pub last_resort: Option<LastResort>,
 }
 
 impl Opened {

@@ -111,6 +111,8 @@ pub struct DriveFacts {
     pub before_stop: u32,
     /// It stops by itself within this time if the master dies, ns: its own watchdog. `None`: it does not.
     pub watchdog_ns: Option<u64>,
+    /// The watch and the guardian stop it in place of the loop: it has no watchdog of its own.
+    pub has_last_resort: bool,
     /// The variables that it reports in addition to its process data, each once.
     pub monitored: [Option<MonitorChannel>; MONITOR_CHANNELS],
     /// What it can do.
@@ -133,6 +135,7 @@ impl DriveFacts {
             reply_within: ReplyWithin::Cycles(1),
             before_stop: 0,
             watchdog_ns: None,
+            has_last_resort: false,
             monitored: [const { None }; MONITOR_CHANNELS],
             capabilities,
         }

@@ -10,6 +10,7 @@
 //! | `prepared` | [`Prepared`]: what is built and has not left |
 //! | `plan`, `error` | [`BusPlan`]: a bus as configured, before any socket is open; why it cannot be opened |
 //! | `facts` | what a plan knows before the start, computed once |
+//! | `last` | what stops its drives without the loop |
 //! | `load` | what its exchanges put on its wire |
 //! | `native` | the native process data of a drive, for the application and for a recording |
 //! | `notes` | what is wrong by a wire's own names, from the loop to normal threads |
@@ -26,6 +27,7 @@ pub mod diagnosis;
 pub mod drives;
 mod error;
 pub mod facts;
+pub mod last;
 pub mod load;
 pub mod native;
 pub mod notes;
@@ -35,12 +37,11 @@ pub mod reader;
 pub mod variant;
 
 pub use self::calls::Calls;
-pub use self::contract::{
-    Bus, Cycle, Earlier, Exchange, LastResort, MOST_EARLIER, Notes, Opened, Slot, Waits,
-};
+pub use self::contract::{Bus, Cycle, Earlier, Exchange, MOST_EARLIER, Notes, Opened, Slot, Waits};
 pub use self::counters::{BusClock, BusNumbers, Counters, OwnCounter, ProtocolCounters, Unmatched};
 pub use self::drives::{DeviceEnds, DriveEnds, Ends};
 pub use self::error::OpenError;
 pub use self::facts::{BusFacts, DriveFacts, ReplyWithin};
+pub use self::last::LastResort;
 pub use self::plan::{BusPlan, Grid, unwatched};
 pub use self::prepared::Prepared;

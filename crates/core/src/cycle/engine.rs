@@ -358,7 +358,8 @@ impl<C: Clock> Engine<C> {
         let flow = if self.panics.any() { self.stop_slot() } else { self.guarded(Engine::turn) };
         let is_taken = match flow {
             Flow::Continue => self.channels.gate.is_closed(),
-            Flow::End => !self.channels.gate.end(),
+            // Whoever finds the wires without an end stops the drives that it leaves behind.
+            Flow::End => !self.panics.leaves_drives() && !self.channels.gate.end(),
         };
         let flow = if is_taken { self.give_way() } else { flow };
         self.channels.log.whole();

@@ -145,11 +145,14 @@ impl Plan {
                 errors.push(format!("cycle: a max_{key} of {share} is not a share, 0 ... 1"));
             }
         }
-        if let WatchAfter::Fixed(ns) = self.cycle.watch_after {
+        let CyclePlan { watch_after, guardian_after, .. } = self.cycle;
+        for (key, after) in [("watch_after", watch_after), ("guardian_after", guardian_after)] {
             let range = CyclePlan::watch_range_ns(self.cycle.period_ns);
-            if !range.contains(&ns) {
+            if let WatchAfter::Fixed(ns) = after
+                && !range.contains(&ns)
+            {
                 let (least, most) = (Ns(*range.start()), Ns(*range.end()));
-                errors.push(format!("cycle: a watch_after of {} is outside {least} ... {most}", Ns(ns)));
+                errors.push(format!("cycle: a {key} of {} is outside {least} ... {most}", Ns(ns)));
             }
         }
         let facts = self.facts();
@@ -350,6 +353,9 @@ pub struct CyclePlan {
     pub heartbeat_ns: Option<u64>,
     /// After what time without a sign of life the loop counts as stuck.
     pub watch_after: WatchAfter,
+    /// After what time without a sign of life the guardian of the process stops the drives that have no watchdog of
+    /// their own. It stops them at once if the process ends without an orderly end. `Off`: there is no guardian.
+    pub guardian_after: WatchAfter,
     /// A cycle that begins later, or spends longer in a stage, counts as late, ns. `None` = a tenth of the period.
     pub late_ns: Option<u64>,
     /// How far back the black box reaches, ns.
@@ -394,12 +400,18 @@ impl CyclePlan {
 
     /// After what time without a sign of life the loop counts as stuck, ns; `None` = it is not watched.
     pub fn watch_after_ns(&self) -> Option<u64> {
-        match self.watch_after {
-            WatchAfter::Off => None,
-            WatchAfter::Auto => Some(WATCH_NS.max(WATCH_CYCLES.saturating_mul(self.period_ns))),
-            WatchAfter::Fixed(ns) => Some(ns),
-        }
+        self.watch_after.ns(WATCH_NS.max(WATCH_CYCLES.saturating_mul(self.period_ns)))
     }
+
+    /// After what time without a sign of life the guardian acts, ns; `None` = there is none. By default half as long
+    /// again as that of the watch, which can do more; without a watch [`DEATH_ALONE`](Self::DEATH_ALONE).
+    pub fn guardian_after_ns(&self) -> Option<u64> {
+        let usual = self.watch_after_ns().map_or(CyclePlan::DEATH_ALONE, |watch_ns| watch_ns + watch_ns / 2);
+        self.guardian_after.ns(usual)
+    }
+
+    /// The guardian acts once the process has ended, however long its loop gives no sign of life.
+    pub const DEATH_ALONE: u64 = i64::MAX as u64;
 
     /// The times after which a loop with this period may count as stuck, ns. A cycle alone takes up to two periods, the
     /// wait for its grid point included.
@@ -435,6 +447,7 @@ impl Default for CyclePlan {
             task_budget_ns: None,
             heartbeat_ns: None,
             watch_after: WatchAfter::Auto,
+            guardian_after: WatchAfter::Auto,
             late_ns: None,
             black_box_ns: 2 * S,
             record_native: Vec::new(),
@@ -462,10 +475,22 @@ const WATCH_MOST_NS: u64 = 60 * S;
 pub enum WatchAfter {
     /// It is not watched.
     Off,
-    /// 500 ms, or 20 cycles if they are longer.
+    /// 500 ms, or 20 cycles if they are longer; the guardian half as long again as the watch, and without a watch not
+    /// at all while the process lives.
     Auto,
     /// A fixed time, ns.
     Fixed(u64),
+}
+
+impl WatchAfter {
+    /// The time, if there is one; `usual`: that of `Auto`.
+    fn ns(self, usual: u64) -> Option<u64> {
+        match self {
+            WatchAfter::Off => None,
+            WatchAfter::Auto => Some(usual),
+            WatchAfter::Fixed(ns) => Some(ns),
+        }
+    }
 }
 
 /// How long before a grid point the loop wakes to spin up to it.

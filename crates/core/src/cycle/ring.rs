@@ -4,9 +4,12 @@
 //! A slot is written before it is announced, so that a process may end at any instant: what is announced is whole.
 
 use std::cell::Cell;
+use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};
 use std::mem::offset_of;
 use std::num::NonZeroUsize;
+use std::os::fd::BorrowedFd;
+use std::os::unix::fs::FileExt;
 use std::ptr;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -22,6 +25,10 @@ const MARK: [u8; 8] = *b"FBRECORD";
 
 /// Where what its owner says of the records begins.
 const ABOUT: usize = 4096;
+
+/// Where the guardian of its owner writes what it has done, as text, and how much room there is for it.
+const SAID: usize = 2048;
+const MOST_SAID: usize = ABOUT - SAID;
 
 /// More is no description of a machine.
 const MOST_ABOUT: usize = 16 << 20;
@@ -242,6 +249,11 @@ impl RecordReader {
         })
     }
 
+    /// The memory, if it outlives the process.
+    pub fn descriptor(&self) -> Option<BorrowedFd<'_>> {
+        self.shared.mapping.descriptor()
+    }
+
     /// Whether there is nothing to read.
     pub fn is_empty(&self) -> bool {
         self.next.get() == self.shared.head().written.load(Ordering::Acquire)
@@ -285,12 +297,19 @@ impl Drop for RecordReader {
     }
 }
 
+/// Writes what was done once the owner of this memory had died, for whoever reads what it has left. A long text is cut.
+pub fn say(memory: &File, text: &str) -> io::Result<()> {
+    memory.write_all_at(&text.as_bytes()[..text.len().min(MOST_SAID)], SAID as u64)
+}
+
 /// What a process has left in its memory.
 #[derive(Debug)]
 pub struct Remains<F> {
     memory: F,
     /// What it says of the records.
     pub about: Vec<u8>,
+    /// What its guardian has done; empty: nothing.
+    pub said: String,
     begin: u64,
     slots: u64,
     kept: u64,
@@ -321,9 +340,13 @@ impl<F: Read + Seek> Remains<F> {
             return Ok(None);
         }
         let mut about = vec![0; length_of_about as usize];
-        memory.seek(SeekFrom::Start(ABOUT as u64))?;
+        let mut said = [0; MOST_SAID];
+        memory.seek(SeekFrom::Start(SAID as u64))?;
+        memory.read_exact(&mut said)?;
         memory.read_exact(&mut about)?;
-        Ok(Some(Remains { memory, about, begin, slots, kept, written }))
+        let said = said.split(|byte| *byte == 0).next().map(String::from_utf8_lossy);
+        let said = said.unwrap_or_default().into_owned();
+        Ok(Some(Remains { memory, about, said, begin, slots, kept, written }))
     }
 
     /// Whether older records than its newest are gone.

@@ -44,6 +44,12 @@ impl Watch {
         Watch { after_ns, every_ns, polled_at: None, turns: 0, silent_ns: 0, on_time: 0 }
     }
 
+    /// A watch that is on time itself finds a loop stuck within this time of its last sign of life, ns.
+    pub fn latest_ns(after_ns: u64) -> u64 {
+        // The sign came behind a poll.
+        after_ns + (u64::from(ON_TIME) + 1) * Watch::new(after_ns).every_ns
+    }
+
     /// The time from one poll to the next, ns.
     pub fn every_ns(&self) -> u64 {
         self.every_ns

@@ -451,7 +451,7 @@ mod tests {
             let exchange = Exchange::Owed { sent_at: Time(0), reply_by: cycle.deadline, awaited: false };
             let mut slots = [Slot { exchange, ..Slot::default() }];
             let open = open_bus(Turns { poll_at, ..Turns::default() }, 0..owed);
-            assert!(open.gate.wires().take());
+            assert!(open.gate.wires().take(crate::rt::Taker::Watch));
             let mut clock = Steps { steps: Vec::new(), arrives: Time(50 * US), turns: 0 };
             let mut buses = [open];
             let mut window = Window::new(Wait::Poll, &buses);

@@ -7,6 +7,7 @@
 //! | `controller/commands` | the application's commands in their order |
 //! | `controller/setpoints` | rows, velocities and torques for the next send, and their age |
 //! | `stop` | the stop sequence |
+//! | `last` | that of drives whose loop is stuck or has died |
 //! | `at_end` | how a drive was left at the end of a run |
 //! | `groups` | group synchronisation |
 //! | `watch` | what an axis must not do by its reports, and which of them it can have reached |
@@ -24,6 +25,7 @@ pub mod controller;
 pub mod groups;
 mod health;
 pub mod journal;
+pub mod last;
 pub mod machine;
 pub mod numbers;
 pub mod planner;

@@ -108,6 +108,15 @@ impl StopSequence {
         (sequence, command)
     }
 
+    /// Starts the stop of an axis whose loop has died, by the drive's own means; `off`: the drive was switched off
+    /// before. No master remains: a drive that does not answer ends it by its time-outs. What follows standstill is as
+    /// planned.
+    pub fn start_last(plan: StopPlan, load: Load, now: Time, off: bool) -> (StopSequence, Command) {
+        let how = if off { StopHow::Coast } else { plan.how };
+        let (sequence, command) = StopSequence::start(StopPlan { how, ..plan }, load, now, f64::NAN);
+        (StopSequence { ending: true, ..sequence }, command)
+    }
+
     /// Starts it once more for an axis that moves although the sequence was complete: by the drive's quick stop, and in
     /// the end by power off, if a stop that does not end may.
     pub fn again(&mut self, now: Time, velocity: f64) -> Command {
@@ -194,6 +203,16 @@ impl StopSequence {
         matches!(self.phase, Phase::Braking { .. })
     }
 
+    /// Whether it is complete, and the drive holds its position.
+    pub fn holds(&self) -> bool {
+        self.phase == Phase::Holding
+    }
+
+    /// Whether an axis with this sight stands.
+    pub fn is_standing(&self, sight: Sight) -> bool {
+        !sight.moving && sight.velocity.abs() <= self.plan.standstill
+    }
+
     /// Whether it brakes by a ramp of this master.
     pub fn is_ramp(&self) -> bool {
         self.is_braking() && !self.escalated
@@ -213,7 +232,7 @@ impl StopSequence {
         match self.phase {
             Phase::Holding | Phase::Off => None,
             Phase::Braking { since, still } => {
-                let standing = !sight.moving && sight.velocity.abs() <= self.plan.standstill;
+                let standing = self.is_standing(sight);
                 let still = match (sight.fresh, standing) {
                     (false, _) => still,
                     (true, true) => still + 1,

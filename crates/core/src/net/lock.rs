@@ -9,7 +9,7 @@
 
 use std::io;
 use std::net::SocketAddrV4;
-use std::os::fd::AsRawFd;
+use std::os::fd::{AsFd, AsRawFd, BorrowedFd};
 use std::os::linux::net::SocketAddrExt;
 use std::os::unix::net::{SocketAddr, UnixListener};
 use std::thread::sleep;
@@ -23,10 +23,15 @@ use thiserror::Error;
 
 use super::local;
 use crate::errors::{no_descriptor, user};
+use crate::rt::child::GUARDIAN;
 
 /// A lock is released within this time after its master has ended: a process that is just being started has a copy of
 /// it until it executes its program, and a process that was killed may take a moment to die.
 const RELEASED_WITHIN: Duration = Duration::from_millis(100);
+
+/// The guardian of a master that has died keeps its locks until the drives are stopped. So long is waited for that: a
+/// service that starts again at once does not fail.
+const GUARDED_WITHIN: Duration = Duration::from_secs(10);
 
 /// What has one master.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -48,6 +53,11 @@ impl Lock {
     pub fn is_held(&self) -> bool {
         self.0.is_some()
     }
+
+    /// What holds it: it is free once nobody has this descriptor.
+    pub fn descriptor(&self) -> Option<BorrowedFd<'_>> {
+        self.0.as_ref().map(AsFd::as_fd)
+    }
 }
 
 /// Why a place cannot be locked. The message follows the name of the place.
@@ -63,6 +73,15 @@ pub enum Refused {
         pid: i32,
         /// Its name in parentheses, if it can be read.
         name: String,
+    },
+    /// The guardian of a master keeps it locked.
+    #[error(
+        "is kept by the guardian (process {pid}) of a master that has died or hangs, which stops the drives: start \
+         again in some seconds; if that master hangs, end that master first"
+    )]
+    Guardian {
+        /// Its id.
+        pid: i32,
     },
     /// A process of another user has locked it, or has taken the name of its lock.
     #[error(
@@ -123,7 +142,10 @@ impl Place<'_> {
                 Err(error) => return Err(Refused::Failed(error)),
             }
             if begun.elapsed() > RELEASED_WITHIN {
-                return Err(used_by(owner(&key)));
+                match used_by(owner(&key)) {
+                    Refused::Guardian { .. } if begun.elapsed() < GUARDED_WITHIN => sleep(RELEASED_WITHIN),
+                    refused => return Err(refused),
+                }
             }
             sleep(RELEASED_WITHIN / 20);
         }
@@ -135,9 +157,12 @@ fn used_by(owner: Option<Owner>) -> Refused {
     match owner {
         Some(Owner { pid, .. }) if pid.cast_unsigned() == std::process::id() => Refused::Own,
         // A process of a PID namespace that is not below ours has no id here.
-        Some(Owner { pid, uid }) if pid > 0 => match uid == nix::unistd::geteuid().as_raw() {
-            true => Refused::Process { pid, name: name(pid) },
-            false => Refused::Other { pid, name: name(pid), user: user(uid) },
+        Some(Owner { pid, uid }) if pid > 0 => match name(pid) {
+            name if name.as_bytes() == GUARDIAN.to_bytes() => Refused::Guardian { pid },
+            name if uid == nix::unistd::geteuid().as_raw() => {
+                Refused::Process { pid, name: in_parentheses(name) }
+            }
+            name => Refused::Other { pid, name: in_parentheses(name), user: user(uid) },
         },
         _ => Refused::Unseen,
     }
@@ -160,10 +185,14 @@ fn owner(key: &str) -> Option<Owner> {
     Some(Owner { pid: of.pid(), uid: of.uid() })
 }
 
-/// The name of a process in parentheses; empty if it cannot be read.
+/// The name of a process; empty if it cannot be read.
 fn name(pid: i32) -> String {
     let name = std::fs::read_to_string(format!("/proc/{pid}/comm")).unwrap_or_default();
-    let name: String = name.trim_end().chars().filter(|char| !char.is_control()).collect();
+    name.trim_end().chars().filter(|char| !char.is_control()).collect()
+}
+
+/// A name, if there is one, behind a number.
+fn in_parentheses(name: String) -> String {
     if name.is_empty() { name } else { format!(" ({name})") }
 }
 

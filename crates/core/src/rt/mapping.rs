@@ -1,4 +1,5 @@
-//! Memory of a mapping of its own: of this process alone, or with a name that outlives it.
+//! Memory of a mapping of its own: of this process alone, with a name that outlives it, or for a process that gets its
+//! descriptor.
 //!
 //! A name is that of a file in /dev/shm, which is memory, never a disk: the kernel writes none of it back, so that no
 //! write to it faults, whatever `sync` does meanwhile. Its process holds a lock on it; what is there without that lock
@@ -9,7 +10,7 @@ use std::fs::{File, OpenOptions};
 use std::io;
 use std::mem;
 use std::num::NonZeroUsize;
-use std::os::fd::AsRawFd;
+use std::os::fd::{AsFd, AsRawFd, BorrowedFd, OwnedFd};
 use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 use std::ptr::NonNull;
@@ -17,10 +18,12 @@ use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use nix::errno::Errno;
-use nix::fcntl::{AT_FDCWD, AtFlags, FallocateFlags, Flock, FlockArg, fallocate};
+use nix::fcntl::{AT_FDCWD, AtFlags, FallocateFlags, FcntlArg, Flock, FlockArg, SealFlag, fallocate, fcntl};
+use nix::sys::memfd::{MFdFlags, memfd_create};
 use nix::sys::mman::{MapFlags, ProtFlags, mmap, mmap_anonymous, munmap};
+use nix::sys::stat::fstat;
 use nix::sys::statfs::{TMPFS_MAGIC, fstatfs};
-use nix::unistd::linkat;
+use nix::unistd::{ftruncate, linkat};
 
 use super::clock::MonotonicClock;
 
@@ -35,8 +38,10 @@ const PREFIX: &str = "fieldbeat-";
 pub struct Mapping {
     begin: NonNull<u8>,
     length: NonZeroUsize,
-    /// The lock that says that its process lives; `None`: of this process alone.
+    /// The lock that says that its process lives; `None`: it has no name.
     file: Option<Flock<File>>,
+    /// Of memory for another process.
+    handed: Option<OwnedFd>,
     name: OnceLock<PathBuf>,
     /// A process that was forked has no say in it.
     owner: u32,
@@ -61,7 +66,7 @@ unsafe impl Sync for Mapping {}
 impl Mapping {
     fn new(begin: NonNull<u8>, length: NonZeroUsize, file: Option<Flock<File>>) -> Mapping {
         let (name, owner, is_left) = (OnceLock::new(), std::process::id(), AtomicBool::new(false));
-        Mapping { begin, length, file, name, owner, is_left }
+        Mapping { begin, length, file, handed: None, name, owner, is_left }
     }
 
     /// Of this process alone. Without memory the process ends, as it does with that of a `Vec`.
@@ -89,10 +94,39 @@ impl Mapping {
                 return Err(errno.into());
             }
         }
-        let rights = ProtFlags::PROT_READ | ProtFlags::PROT_WRITE;
-        // SAFETY: a new mapping at an address that the kernel chooses. Only this user may shorten the file.
-        let begin = unsafe { mmap(None, length, rights, MapFlags::MAP_SHARED, &*file, 0)? };
-        Ok(Mapping::new(begin.cast(), length, Some(file)))
+        Ok(Mapping::new(mapped(&*file, length)?, length, Some(file)))
+    }
+
+    /// For another process, which gets its [descriptor](Mapping::descriptor). Nobody can make it shorter.
+    pub fn handed(length: NonZeroUsize) -> io::Result<Mapping> {
+        let flags = MFdFlags::MFD_CLOEXEC | MFdFlags::MFD_ALLOW_SEALING;
+        let memory = memfd_create("fieldbeat", flags)?;
+        ftruncate(&memory, i64::try_from(length.get()).map_err(|_| io::ErrorKind::FileTooLarge)?)?;
+        fcntl(&memory, FcntlArg::F_ADD_SEALS(SealFlag::F_SEAL_SHRINK | SealFlag::F_SEAL_SEAL))?;
+        Mapping::with(memory, length)
+    }
+
+    /// That of the process that handed this descriptor over.
+    ///
+    /// # Errors
+    ///
+    /// It is none of [`handed`](Mapping::handed).
+    pub fn received(memory: OwnedFd) -> io::Result<Mapping> {
+        let seals = SealFlag::from_bits_retain(fcntl(&memory, FcntlArg::F_GET_SEALS)?);
+        let length = usize::try_from(fstat(&memory)?.st_size).ok().and_then(NonZeroUsize::new);
+        let length = length.filter(|_| seals.contains(SealFlag::F_SEAL_SHRINK));
+        Mapping::with(memory, length.ok_or(io::ErrorKind::InvalidData)?)
+    }
+
+    fn with(memory: OwnedFd, length: NonZeroUsize) -> io::Result<Mapping> {
+        let mut mapping = Mapping::new(mapped(&memory, length)?, length, None);
+        mapping.handed = Some(memory);
+        Ok(mapping)
+    }
+
+    /// Its descriptor, if another process can share it. Whoever has that of named memory has its lock.
+    pub fn descriptor(&self) -> Option<BorrowedFd<'_>> {
+        self.handed.as_ref().map(AsFd::as_fd).or(self.file.as_ref().map(|file| file.as_fd()))
     }
 
     /// Its first byte. It is aligned to a page.
@@ -133,6 +167,14 @@ impl Mapping {
             let _ = std::fs::remove_file(path);
         }
     }
+}
+
+/// Maps so many bytes, which nobody else may make fewer.
+fn mapped(file: impl AsFd, length: NonZeroUsize) -> io::Result<NonNull<u8>> {
+    let rights = ProtFlags::PROT_READ | ProtFlags::PROT_WRITE;
+    // SAFETY: a new mapping at an address that the kernel chooses.
+    let begin = unsafe { mmap(None, length, rights, MapFlags::MAP_SHARED, file, 0)? };
+    Ok(begin.cast())
 }
 
 /// Locks a file, unless another process has it.

@@ -57,6 +57,14 @@ pub struct Granted {
     pub missing: Vec<String>,
 }
 
+impl Granted {
+    /// Its priority, if it runs in real time.
+    #[doc(hidden)]
+    pub fn fifo(&self) -> Option<u8> {
+        (self.policy == "SCHED_FIFO").then_some(self.priority)
+    }
+}
+
 /// Why the loop's thread cannot become what the plan requests.
 #[derive(thiserror::Error)]
 #[non_exhaustive]
@@ -167,15 +175,15 @@ pub fn stand_aside(core_of_loop: Option<usize>) {
     confine(cores().into_iter().filter(|core| Some(*core) != core_of_loop));
 }
 
-/// Lets the calling thread watch a loop that was granted this: off its core, where there is another one, and before it
-/// (SCHED_FIFO, one priority above) if the loop runs in real time. A watch before a loop that is an ordinary thread
-/// would take the waits of that one for its end.
+/// Lets the calling thread watch a loop on this core: off it, where there is another one, and before the loop
+/// (SCHED_FIFO, one priority above) if that runs in real time with this priority. A watch before a loop that is an
+/// ordinary thread would take the waits of that one for its end.
 ///
 /// To be called on threads started by a normal thread, as [`helper_thread`].
-pub fn watch_thread(of_loop: &Granted) {
-    stand_aside(of_loop.core);
-    let above = of_loop.priority.saturating_add(1).min(99);
-    if of_loop.policy != "SCHED_FIFO" || (fifo(above).is_err() && fifo(of_loop.priority).is_err()) {
+pub fn watch_thread(core_of_loop: Option<usize>, priority_of_loop: Option<u8>) {
+    stand_aside(core_of_loop);
+    let above = |priority: u8| priority.saturating_add(1).min(99);
+    if priority_of_loop.is_none_or(|loops| fifo(above(loops)).is_err() && fifo(loops).is_err()) {
         prompt();
     }
     give_up_rights(Keep::Nothing);

@@ -24,7 +24,6 @@ use self::identity::{EarlierRequest, EarlierRequests, Echo, Identity, Unrequeste
 use self::report::{Counts, Turns};
 use self::serial::Identification;
 use super::counters::Own;
-use super::last::PowerSent;
 use super::native::{Native, NativePort};
 use super::other::OtherMaster;
 use super::plan::{LinUdpDrive, MonitorPlan, ReplyTag};
@@ -35,6 +34,7 @@ use super::wire::{ErrorCode, MotionBlock, Request, ResponseDef, ResponseView, Rt
 use fieldbeat_core::axis::acyclic::{self, AcyclicEnds};
 use fieldbeat_core::axis::{Link, Units};
 use fieldbeat_core::bus::desired::Power;
+use fieldbeat_core::bus::last::PowerSent;
 use fieldbeat_core::bus::native::native;
 use fieldbeat_core::bus::notes::NoteCells;
 use fieldbeat_core::bus::{Cycle, Exchange, Slot};
@@ -172,9 +172,9 @@ impl Station {
         self.serial_note.memory(regions);
     }
 
-    /// What the requests that left say of the drive's power.
-    pub(super) fn power_sent(&self) -> PowerSent {
-        self.profile.power_sent()
+    /// From now on it notes here what the requests that left say of the drive's power.
+    pub(super) fn note_power_in(&mut self, power_sent: PowerSent) {
+        self.profile.note_power_in(power_sent);
     }
 
     /// Builds the request of the next send in `out` and returns its length. Built again for the same send, it is

@@ -193,7 +193,7 @@ impl ResponseDef {
     }
 
     /// The offset of one of the blocks, after those of the lower bits.
-    const fn at(self, block: ResponseDef) -> usize {
+    pub const fn at(self, block: ResponseDef) -> usize {
         field::HEADER + field::RESPONSE_SUM[(self.0 & (block.0 - 1) & 0xFF) as usize] as usize
     }
 }

@@ -115,6 +115,17 @@ impl Orphan {
         Found::all().filter(is_of_it).filter_map(Found::claim).filter_map(Orphan::of).collect()
     }
 
+    /// The processes that have died, and whose guardians still have the memory: they stop their drives.
+    pub fn guarded(directory: &Path) -> Vec<u32> {
+        let directory = absolute(directory);
+        let of = |found: Found| {
+            let (about, _) = about(&found.file).filter(|(about, _)| about.directory == directory)?;
+            let has_died = !Path::new("/proc").join(about.process.to_string()).exists();
+            (has_died && found.claim().is_none()).then_some(about.process)
+        };
+        Found::all().filter_map(of).collect()
+    }
+
     /// That of all others.
     pub fn others(directory: &Path) -> Vec<Other> {
         let directory = absolute(directory);
@@ -138,7 +149,10 @@ impl Orphan {
             let _ = memory.remove();
             return None;
         };
-        let why = format!("process {} was killed, or crashed", about.process);
+        let mut why = format!("process {} was killed, or crashed", about.process);
+        if !remains.said.is_empty() {
+            why = why + "; " + &remains.said;
+        }
         let due = Due { why, cycle, from: cycle, failed: true };
         Some(Orphan { memory, about, due, ended: UNIX_EPOCH + Duration::from_nanos(ended_ns) })
     }

@@ -11,6 +11,7 @@ use fieldbeat::bus::linudp::motion::{Acceleration, MotionCommand, Position, Velo
 use fieldbeat::bus::{ethercat, ethernet_ip, linudp, modbus, profibus};
 use fieldbeat::sim::Truth;
 use fieldbeat::time::MS;
+use fieldbeat_core::rt::Taker;
 
 use super::judge::{Breach, GRACE, MOST_ALONE, Slots, Watch};
 use super::machine::{AXES, Kind, Machine, Shape};
@@ -742,7 +743,7 @@ impl Run {
             }
             Op::Stuck(ms) => {
                 self.tally.effects.count(Effect::Stuck);
-                let taken = self.machine.sim.wires().take();
+                let taken = self.machine.sim.wires().take(Taker::Watch);
                 let ended = self.machine.sim.step() == Flow::End;
                 let stopped: Vec<_> = (0..AXES).map(|axis| self.machine.sim.feedback(axis).stopped).collect();
                 if !taken || !ended || stopped.contains(&None) {

@@ -38,10 +38,18 @@ pub struct LoopPanic {
     /// How many there were.
     pub count: u32,
     /// Buses and axes that were left out of the stop, since they panicked again. Their drives end by their own
-    /// watchdogs.
+    /// watchdogs; the watch and the guardian stop those that have none.
     pub left_out: Vec<String>,
     /// The loop ended before the orderly end was complete.
     pub cut_short: bool,
+}
+
+impl LoopPanic {
+    /// Somebody else has to stop drives of this loop.
+    #[doc(hidden)]
+    pub fn leaves_drives(&self) -> bool {
+        !self.left_out.is_empty() || self.cut_short
+    }
 }
 
 impl fmt::Display for LoopPanic {
@@ -99,6 +107,12 @@ impl Panics {
         self.first.get_or_insert((self.slot, self.stage, part));
         self.each = true;
         *self.counts.entry(part).or_default() += 1;
+    }
+
+    /// A stop is not complete that the loop alone could complete.
+    pub(super) fn leaves_drives(&self) -> bool {
+        let left_out = |part: &Part| matches!(part, Part::Bus(_) | Part::Axis(_)) && self.is_left_out(*part);
+        self.cut_short || self.counts.keys().any(left_out)
     }
 
     fn is_left_out(&self, part: Part) -> bool {

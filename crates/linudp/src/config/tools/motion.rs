@@ -18,6 +18,9 @@ use fieldbeat_tools::{Drive, Pause, Program, Stop};
 pub struct MotionArguments {
     #[command(flatten)]
     drive: Drive,
+    /// Without a guardian, the process that stops the drive if this one is killed or hangs.
+    #[arg(long)]
+    no_guardian: bool,
     /// Its name, as `linmot commands` lists it, or its number as 0x010.
     command: String,
     /// Its fields in their units, as position=12.5; for a number its words, as words=0x1,0x2.
@@ -76,7 +79,7 @@ impl MotionArguments {
         let command = parse(&self.command, &self.fields).map_err(Stop::usage)?;
         let name = &self.drive.drive;
         let foreign = || Stop::usage(format!("drive {name} is not a LinMot drive"));
-        let mut own = program.own(&self.drive, &|axis, notation| {
+        let mut own = program.own(&self.drive, self.no_guardian, &|axis, notation| {
             if notation.protocol() != crate::PROTOCOL {
                 return Err(foreign());
             }
