@@ -10,6 +10,7 @@ mod deaths;
 mod doctor;
 #[path = "../support/fuse.rs"]
 mod fuse;
+mod guardian;
 mod hosts;
 mod init;
 mod jog;

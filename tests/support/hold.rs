@@ -9,13 +9,39 @@ impl Hold {
     /// Takes control; the thread goes on.
     pub fn seize(tid: pid_t) -> Hold {
         let hold = Hold(tid);
-        hold.ask(libc::PTRACE_SEIZE);
+        // Stops at system calls are told apart from others.
+        hold.request(libc::PTRACE_SEIZE, 0, libc::PTRACE_O_TRACESYSGOOD as usize);
         hold
     }
 
     /// Stops it, and waits until it stands.
     pub fn stop(&self) {
         self.ask(libc::PTRACE_INTERRUPT);
+        self.await_stop();
+    }
+
+    /// Stops it where it is about to make this system call: all that it has decided before that stands.
+    pub fn stop_before(&self, call: libc::c_long) {
+        self.stop();
+        while self.call_begun() != Some(call.cast_unsigned()) {
+            self.ask(libc::PTRACE_SYSCALL);
+            self.await_stop();
+        }
+    }
+
+    /// The system call at whose begin it stands.
+    fn call_begun(&self) -> Option<u64> {
+        // SAFETY: all zero is a value of it.
+        let mut info: libc::ptrace_syscall_info = unsafe { std::mem::zeroed() };
+        self.request(libc::PTRACE_GET_SYSCALL_INFO, size_of_val(&info), (&raw mut info).addr());
+        if info.op != libc::PTRACE_SYSCALL_INFO_ENTRY {
+            return None;
+        }
+        // SAFETY: the kernel has written the part that `op` names.
+        Some(unsafe { info.u.entry.nr })
+    }
+
+    fn await_stop(&self) {
         // SAFETY: a null status is allowed.
         assert_eq!(unsafe { libc::waitpid(self.0, std::ptr::null_mut(), libc::__WALL) }, self.0);
     }
@@ -41,10 +67,13 @@ impl Hold {
     }
 
     fn ask(&self, request: libc::c_uint) {
-        let none = std::ptr::null_mut::<u8>();
-        // SAFETY: none of these requests reads or writes memory.
-        let result = unsafe { libc::ptrace(request, self.0, none, none) };
-        assert_eq!(result, 0, "{}", std::io::Error::last_os_error());
+        self.request(request, 0, 0);
+    }
+
+    fn request(&self, request: libc::c_uint, address: usize, data: usize) {
+        // SAFETY: only the request for a system call writes memory, of which it is given the size and the place.
+        let result = unsafe { libc::ptrace(request, self.0, address, data) };
+        assert!(result >= 0, "{}", std::io::Error::last_os_error());
     }
 }
 
