@@ -73,7 +73,8 @@ impl Newest {
 
     /// A file is requested, though nothing failed, with so many cycles of what follows.
     pub fn request(&mut self, cycles: u64) {
-        let (cycle, from) = (self.cycle, self.cycle + cycles);
+        // A file without a cycle says nothing: one that is requested before the first one came waits for that.
+        let (cycle, from) = (self.cycle, (self.cycle + cycles).max(1));
         self.is_due(Due { why: "requested".to_owned(), cycle, from, failed: false });
     }
 

@@ -398,6 +398,22 @@ fn what_was_on_its_way_to_a_full_disk_is_lost() {
 
 /// A file of a failure is written 200 ms after it.
 #[test]
+fn a_file_that_is_requested_before_the_first_cycle_came_waits_for_that() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("x.mcap");
+    let mut window = Window::new(path, machine(), Failures::of_names(&["x", "y"]), 50);
+    window.begin(0);
+    window.request();
+    assert_eq!(std::fs::read_dir(directory.path()).unwrap().count(), 0);
+    for index in 0..3 {
+        window.enter(&Record::Cycle(CycleRecord { index, ..CycleRecord::default() }));
+    }
+    let written = window.finish();
+    let all: Vec<_> = written.iter().map(|one| (one.why.as_str(), one.messages)).collect();
+    assert_eq!(all, [("requested", 2), ("end of the run", 3)]);
+}
+
+#[test]
 fn a_short_window_has_the_failure_itself_in_its_file() {
     let directory = tempfile::tempdir().unwrap();
     let mut window =
