@@ -21,6 +21,7 @@ use nix::sys::socket::{MsgFlags, recv};
 pub use self::role::guardian_main;
 use fieldbeat_core::bus::LastResort;
 use fieldbeat_core::bus::last::LastDrive;
+use fieldbeat_core::errors::no_descriptor;
 use fieldbeat_core::rt::{Realtime, RealtimePlan, Wires, Words, child};
 
 /// The first argument of a program that is to be a guardian. Programs of another layout do not know it.
@@ -155,7 +156,10 @@ impl Guardian {
             None => return Err(NoGuardian::NoProgram),
         };
         let started = Guardian::begin(&program, wires, last_resorts, records, after_ns, realtime);
-        started.map_err(|why| NoGuardian::Failed { program, why: why.to_string() })
+        started.map_err(|why| {
+            let remedy = no_descriptor(&why).map(|remedy| format!("; {remedy}")).unwrap_or_default();
+            NoGuardian::Failed { program, why: format!("{why}{remedy}") }
+        })
     }
 
     fn begin(
