@@ -203,6 +203,29 @@ fn samples_of_an_earlier_version_load_and_the_keys_of_the_changelog_restore_what
     assert_eq!(cases.len(), std::fs::read_dir("config/before").unwrap().count());
 }
 
+/// The key of the changelog by which there is no guardian, as before there was one.
+#[test]
+fn samples_of_an_earlier_version_have_a_guardian_which_one_key_leaves_out() {
+    for name in ["linmot", "gantry"] {
+        let text = std::fs::read_to_string(format!("config/before/{name}.toml")).unwrap();
+        let restored = text.replace("[cycle]\n", "[cycle]\nguardian_after = \"off\"\n");
+        let [now, before] = [text, restored].map(|text| describe(&read(&text)));
+        let dies = |lines: &[String]| {
+            let line = lines.iter().find_map(|line| line.trim_start().strip_prefix("if the master dies: "));
+            line.unwrap().to_owned()
+        };
+        assert!(
+            dies(&now).starts_with("stops within ") && now.join("\n").contains("\n  a guardian, a process")
+        );
+        assert!(dies(&before).starts_with("a LinUDP drive has no watchdog, a move runs to its target"));
+        let rest = |lines: &[String]| -> Vec<String> {
+            let is_of_it = |line: &&String| line.contains("guardian") || line.contains("if the master dies");
+            lines.iter().filter(|line| !is_of_it(line)).cloned().collect()
+        };
+        assert_eq!(rest(&now), rest(&before), "{name}");
+    }
+}
+
 #[test]
 fn files_that_cannot_be_read_say_so() {
     let error = |path: &Path| load(path).unwrap_err().to_string();
