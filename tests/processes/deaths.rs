@@ -141,7 +141,7 @@ fn killed_demos(machine: &Machine, count: u64) -> Vec<u64> {
         let files = &list.expect(0).json()["files"];
         let why = format!("process {process} was killed, or crashed; its guardian stopped the drives");
         assert!(files.as_array().is_some_and(|files| files.len() == 1), "{list:?}");
-        let is_why = files[0]["why"].as_str().is_some_and(|told| told.starts_with(&why));
+        let is_why = files[0]["why"].as_str().is_some_and(|text| text.starts_with(&why));
         assert!(is_why && files[0]["error"].is_null(), "{list:?}");
         let file = format!("boxes/{}", files[0]["file"].as_str().unwrap());
         let in_memory = cycles(machine, &file, 0);

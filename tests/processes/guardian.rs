@@ -1,5 +1,5 @@
 //! The guardian of a program with LinMots: it stops them when the program is killed, crashes or does not run, and does
-//! nothing else. What became of the axes is asked of the drives themselves.
+//! nothing else. What became of the axes is what the drives themselves show.
 
 use std::net::{SocketAddrV4, UdpSocket};
 use std::os::linux::net::SocketAddrExt;
@@ -488,8 +488,11 @@ fn a_frozen_program_loses_its_drives_and_says_so_when_it_goes_on() {
         let summary = ended.json();
         assert_eq!(drive(&summary, "d0")["stopped"], "loop stuck", "{summary}");
         let failures = summary["failures"].as_array().unwrap();
-        let told = |failure: &Value| failure["what"].as_str().is_some_and(|what| what.contains(TAKEN));
-        assert!(failures.iter().any(|failure| told(failure) && failure["fails_run"] == true), "{summary}");
+        let is_named = |failure: &Value| failure["what"].as_str().is_some_and(|what| what.contains(TAKEN));
+        assert!(
+            failures.iter().any(|failure| is_named(failure) && failure["fails_run"] == true),
+            "{summary}"
+        );
         assert!(summary.to_string().contains("d0 stood after "), "{summary}");
         mover.end().expect(1);
         bench.assert_at_rest(&stopped, 0.05);

@@ -181,8 +181,8 @@ fn root_still_writes_where_it_was_asked_to() {
         fs::create_dir(directory).unwrap();
         std::os::unix::fs::chown(directory, Some(NOBODY), None).unwrap();
     }
-    let [into, beside] = [&report, &black_box].map(|directory| directory.to_str().unwrap());
-    let mut master = master(&config, &["--json", "--report", into, "--black-box", beside]);
+    let [into, boxes] = [&report, &black_box].map(|directory| directory.to_str().unwrap());
+    let mut master = master(&config, &["--json", "--report", into, "--black-box", boxes]);
     master.await_text("all drives online");
     master.signal(libc::SIGUSR1);
     master.await_text("black box: ");

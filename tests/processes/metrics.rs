@@ -109,8 +109,11 @@ fn a_scrape_tells_what_the_summary_tells_later() {
     let mut second = Page::default();
     let passed = until(LONG, || {
         second = Page::parse(&scrape(address));
-        second.value("fieldbeat_cycles_executed_total")
-            >= first.value("fieldbeat_cycles_executed_total") + 100.0
+        let cycles = |page: &Page| page.value("fieldbeat_cycles_executed_total");
+        // The telemetry may begin later than the loop.
+        let of_drive = |name| format!("fieldbeat_drive_round_trip_seconds_count{{drive=\"{name}\"}}");
+        cycles(&second) >= cycles(&first) + 100.0
+            && ["d0", "d1"].iter().all(|name| second.value(&of_drive(name)) > 0.0)
     });
     assert!(passed, "the cycle goes on");
     for (key, value) in &first.samples {

@@ -131,12 +131,14 @@ fn a_process_without_descriptors_learns_which_limit_to_raise() {
         machine.ip(41)
     );
     let config = machine.write("two.toml", first + &second);
-    // Standard input and output, then the place of a drive, the socket of each bus and its twin for the watch.
+    // Standard input and output, the word that owns the wires; then of each bus the lock of its drive, its socket and
+    // the twin of that for the watch, what the watch sends, and the lock once more.
     for (most, which) in [
-        (4, "linudp-v2: cannot bind"),
+        (4, "linudp-v2: drive"),
         (5, "linudp-v2: cannot bind"),
-        (6, "second: drive"),
-        (7, "second: cannot bind"),
+        (8, "linudp-v2: cannot bind"),
+        (9, "second: drive"),
+        (10, "second: cannot bind"),
     ] {
         let mut command = Command::new(PROGRAM);
         command.arg("run").arg(&config).args(["--for", "1s"]);

@@ -186,7 +186,7 @@ fn check_says_the_plan_what_becomes_of_drives_if_the_master_dies_and_what_it_is_
     let machine = Machine::new(199);
     for (name, becomes) in [
         ("demo", "if the master dies: "),
-        ("linmot", "if the master dies: a LinUDP drive has no watchdog"),
+        ("linmot", "if the master dies: stops within "),
         ("unidrive", "if the master dies: the drive trips within 500 ms"),
         ("kollmorgen", "if the master dies: the drive stops by itself within 20 ms"),
         ("moons", "if the master dies: "),

@@ -9,7 +9,7 @@ impl Hold {
     /// Takes control; the thread goes on.
     pub fn seize(tid: pid_t) -> Hold {
         let hold = Hold(tid);
-        // Stops at system calls are told apart from others.
+        // Stops at system calls differ from others.
         hold.request(libc::PTRACE_SEIZE, 0, libc::PTRACE_O_TRACESYSGOOD as usize);
         hold
     }

@@ -47,7 +47,7 @@ use calls::{READING, TO_REACH_A_MASTER, TO_SERVE, UNIX_SOCKETS};
 pub enum Keep {
     /// Nothing.
     Nothing,
-    /// CAP_DAC_OVERRIDE, if root has it: it writes where root was asked to write, whoever owns the directory.
+    /// CAP_DAC_OVERRIDE, if root has it: it writes where root wants a file, whoever owns the directory.
     Files,
 }
 

@@ -5,7 +5,7 @@ use libc::c_long;
 
 use super::Only;
 
-/// What every thread calls without being asked: the C library and the standard library.
+/// What the C library and the standard library call on every thread.
 pub const OF_EVERY_THREAD: &[c_long] = &[
     // Memory; and how many cores there are, for its arenas.
     libc::SYS_sched_getaffinity,
