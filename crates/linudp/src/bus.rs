@@ -68,7 +68,7 @@ impl LinUdpBus {
         let notes = SerialNotes(plan.drives.iter().zip(&stations).map(note).collect());
         let drives = || plan.drives.iter().map(|drive| last_resort(drive, period_ns)).collect();
         let last = |twin| LastResort::new(twin, drives(), &locks);
-        let last_resort = twin.map(last).transpose().map_err(refused)?;
+        let last_resort = twin.filter(|_| !plan.drives.is_empty()).map(last).transpose().map_err(refused)?;
         for (index, station) in stations.iter_mut().enumerate() {
             if let Some(last) = &last_resort {
                 station.note_power_in(last.power_sent(index));

@@ -50,7 +50,9 @@ pub(super) fn last_resort(drive: &LinUdpDrive, period_ns: u64) -> LastDrive {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use fieldbeat_core::bus::BusPlan;
     use fieldbeat_core::bus::last::Sighted;
+    use fieldbeat_core::net::Os;
     use fieldbeat_core::time::MS;
 
     /// Sheet, 2.3 and 3.1: a control word alone; the status word, the state and the actual position in reply.
@@ -81,5 +83,13 @@ mod tests {
         of_the_loop[4] = ResponseDef::FRONT.0 as u8;
         assert_eq!(reply.read(&halt, &of_the_loop), None);
         assert_eq!(reply.read(&look, &moving), None);
+    }
+
+    #[test]
+    fn a_bus_without_drives_opens_and_has_no_last_resort() {
+        let mut plan = crate::plan::LinUdpPlan::new([127, 0, 0, 1].into(), Vec::new());
+        plan.bind.set_port(0);
+        let opened = plan.open(MS, &Os::default()).unwrap();
+        assert!(opened.last_resort.is_none());
     }
 }

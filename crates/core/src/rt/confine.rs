@@ -5,10 +5,10 @@
 //!
 //! | thread | keeps |
 //! |---|---|
-//! | the loop, the watch, the signals, the operation of axes, metrics, control | nothing: sockets are open, priorities set |
+//! | the loop, the watch, the signals, the operation of axes, metrics, control | nothing: all is open, priorities are set |
 //! | the link thread | [`Keep::Files`], for a serial port that is opened again; a connection needs no right |
 //! | telemetry, recorder, black box, checkpoints, the scope, who called the start | [`Keep::Files`] |
-//! | simulated drives | nothing: low ports and raw frames are open for good, over a pulled cable and a restarted drive |
+//! | simulated drives | nothing: low ports and raw frames stay open, also without a cable |
 //!
 //! All of them keep CAP_IPC_LOCK where a limit of locked memory is set: of a process that is locked as a whole the
 //! kernel counts whatever a thread allocates from then on against that limit, unless the thread has this right.

@@ -60,7 +60,11 @@ impl<T> Held<T> {
 }
 
 impl<T: Plain> Held<T> {
-    /// In memory that another process can get; where the kernel gives none, of this process alone. At least one.
+    /// In memory that another process can get; where the kernel gives none, of this process alone.
+    ///
+    /// # Panics
+    ///
+    /// There are no values.
     pub fn handed(values: Vec<T>) -> Held<T> {
         let Some((count, mapping)) = Held::mapping_of(&values) else { return Held::all_own(values.into()) };
         let begin = mapping.begin().cast::<T>();
