@@ -16,8 +16,10 @@ pub const AFTERMATH_NS: u64 = 200 * MS;
 /// What is known of the newest records of a machine.
 #[derive(Debug)]
 pub struct Newest {
-    /// The newest cycle.
+    /// The newest cycle, executed or skipped.
     pub cycle: u64,
+    /// The newest one that was executed.
+    executed: Option<u64>,
     /// The machine.
     pub machine: Machine,
     /// Cycles that follow upon a failure.
@@ -53,7 +55,7 @@ pub struct Encoded {
 impl Newest {
     /// Of `machine`, with so many cycles of what follows upon one of its `failures`; none yet.
     pub fn new(machine: Machine, failures: Failures, aftermath: u64) -> Newest {
-        Newest { cycle: 0, machine, failures, aftermath, due: None }
+        Newest { cycle: 0, executed: None, machine, failures, aftermath, due: None }
     }
 
     /// Looks at a record. A failure in it is written with what follows, not before cycle `earliest`; `None`: no more.
@@ -65,7 +67,8 @@ impl Newest {
                     self.is_due(Due { why, cycle, from, failed: true });
                 }
             }
-            Record::Cycle(_) | Record::Skipped(_) => self.cycle = record.index(),
+            Record::Cycle(of) => (self.cycle, self.executed) = (of.index, Some(of.index)),
+            Record::Skipped(of) => self.cycle = of.first,
             Record::Monitor(_) | Record::Reference(_) | Record::Command(_) => {}
             Record::Event(_) | Record::Native(_) => {}
         }
@@ -73,8 +76,7 @@ impl Newest {
 
     /// A file is requested, though nothing failed, with so many cycles of what follows.
     pub fn request(&mut self, cycles: u64) {
-        // A file without a cycle says nothing: one that is requested before the first one came waits for that.
-        let (cycle, from) = (self.cycle, (self.cycle + cycles).max(1));
+        let (cycle, from) = (self.cycle, self.cycle + cycles);
         self.is_due(Due { why: "requested".to_owned(), cycle, from, failed: false });
     }
 
@@ -85,9 +87,16 @@ impl Newest {
         }
     }
 
-    /// What is to be written by now; whatever is, if there is nothing more to wait for.
+    /// What is to be written by now; whatever is, if there is nothing more to wait for. A file without an executed
+    /// cycle says nothing: one that is due before the first of them waits for that.
     pub fn take_due(&mut self, last: bool) -> Option<Due> {
-        self.due.take_if(|due| last || self.cycle >= due.from)
+        let executed = self.executed.is_some();
+        self.due.take_if(|due| last || executed && self.cycle >= due.from)
+    }
+
+    /// The first of the newest so many cycles, among which an executed one is.
+    pub fn oldest(&self, cycles: u64) -> u64 {
+        self.cycle.saturating_sub(cycles).min(self.executed.unwrap_or(0))
     }
 
     /// Whether something is to be written, now or later.

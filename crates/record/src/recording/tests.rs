@@ -396,21 +396,31 @@ fn what_was_on_its_way_to_a_full_disk_is_lost() {
     }
 }
 
-/// A file of a failure is written 200 ms after it.
+/// A loop that wakes too late for its first slots, twice, has records before its first executed cycle.
 #[test]
-fn a_file_that_is_requested_before_the_first_cycle_came_waits_for_that() {
+fn a_requested_file_has_an_executed_cycle_however_many_were_skipped() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("x.mcap");
     let mut window = Window::new(path, machine(), Failures::of_names(&["x", "y"]), 50);
+    let skipped = |first| Record::Skipped(SkippedRecord { first, count: 5, ..SkippedRecord::default() });
+    let executed = |index| Record::Cycle(CycleRecord { index, ..CycleRecord::default() });
+    let files = || std::fs::read_dir(directory.path()).unwrap().count();
     window.begin(0);
     window.request();
-    assert_eq!(std::fs::read_dir(directory.path()).unwrap().count(), 0);
-    for index in 0..3 {
-        window.enter(&Record::Cycle(CycleRecord { index, ..CycleRecord::default() }));
+    for record in [skipped(0), skipped(5)] {
+        window.enter(&record);
     }
+    assert_eq!(files(), 0);
+    window.enter(&executed(10));
+    assert_eq!(files(), 1);
+    // Of a loop that was held up for longer than the window, it is the last one before that.
+    for record in [skipped(11), skipped(10_000)] {
+        window.enter(&record);
+    }
+    window.request();
     let written = window.finish();
     let all: Vec<_> = written.iter().map(|one| (one.why.as_str(), one.messages)).collect();
-    assert_eq!(all, [("requested", 2), ("end of the run", 3)]);
+    assert_eq!(all, [("requested", 3), ("requested", 3), ("end of the run", 3)]);
 }
 
 #[test]

@@ -93,7 +93,7 @@ impl Sink for Window {
         self.records.push_back(*record);
         self.newest.look(record, (self.files_of_failures < MOST_FAILURES).then_some(0));
         if matches!(record, Record::Cycle(_) | Record::Skipped(_)) {
-            let oldest = self.newest.cycle.saturating_sub(self.cycles);
+            let oldest = self.newest.oldest(self.cycles);
             while self.records.front().is_some_and(|record| record.index() < oldest) {
                 self.records.pop_front();
             }
