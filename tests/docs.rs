@@ -25,9 +25,7 @@ use fieldbeat::config::linmot::table as table_file;
 use fieldbeat::config::{self, Configuration};
 use fieldbeat::sim::WorldOptions;
 use fieldbeat::{Master, Simulation};
-use fieldbeat_config::schema;
 use fieldbeat_core::bus::diagnosis::Row;
-use serde_json::Value;
 use support::{Ended, Machine, PROGRAM, Program, UNJUDGED, checkout};
 
 /// What completes a part of a configuration.
@@ -391,99 +389,84 @@ fn accepted(machine: &dyn Fn(&str) -> String, at: &str, table: &str) -> BTreeSet
     }
 }
 
-/// The keys that the schema has below a table. A key that takes tables in several forms has no row of its own.
-fn stated(table: &Value, before: &str) -> BTreeSet<String> {
-    let properties = table["properties"].as_object().expect("a table").iter();
-    let of_key = properties.flat_map(|(name, key)| {
-        let name = format!("{before}{name}");
-        let forms = key["anyOf"].as_array().filter(|_| key["description"].is_null());
-        let table =
-            forms.and_then(|forms| forms.iter().find(|form| form["properties"].is_object())).unwrap_or(key);
-        match table["properties"].is_object() && name != "defaults" {
-            true => stated(table, &format!("{name}.")),
-            false => BTreeSet::from([name]),
-        }
-    });
-    of_key.collect()
-}
-
-/// The keys in the first columns of the tables in a section of `page`; none if it has no such section.
-fn listed(page: &Page, section: &str) -> BTreeSet<String> {
-    let heading = format!("`{section}`\n");
-    let text = page.text.split("\n## ").find_map(|part| part.strip_prefix(&heading)).unwrap_or_default();
-    let cells = text.lines().filter_map(|row| Some(row.strip_prefix("| `")?.split_once("` |")?.0));
-    cells.flat_map(|keys| keys.split("`, `")).map(str::to_owned).collect()
+/// The keys in the first columns of these tables, but for tables whose own keys stand there, too.
+fn listed(reference: &[(String, String)], sections: &[&str]) -> BTreeSet<String> {
+    let tables = reference.iter().filter(|(section, _)| sections.contains(&section.as_str()));
+    let rows = tables.flat_map(|(_, table)| table.lines());
+    let cells = rows.filter_map(|row| Some(row.strip_prefix("| `")?.split_once("` |")?.0));
+    let names: BTreeSet<&str> = cells.flat_map(|keys| keys.split("`, `")).collect();
+    let is_table = |name: &str| names.iter().any(|other| other.starts_with(&format!("{name}.")));
+    names.iter().filter(|name| !is_table(name)).map(|name| (*name).to_owned()).collect()
 }
 
 #[test]
 fn the_reference_has_the_keys_that_the_reader_accepts() {
-    let common = Page::read("docs/src/configuration.md");
+    let reference = fieldbeat_config::reference();
     let part = |part: &str| PARTS.iter().find(|(name, _)| *name == part).unwrap().1;
     let linmot = part("linmot");
-    let mut wrong = Vec::new();
-    let schema = schema();
-    let mut hold = |what: &str,
-                    reference: BTreeSet<String>,
-                    (at, in_schema): (&str, &str),
-                    machine: &dyn Fn(&str) -> String| {
-        let accepted = accepted(machine, at, "");
-        assert!(accepted.len() > 1, "{what}: {accepted:?}");
-        assert_eq!(stated(schema.pointer(in_schema).expect(in_schema), ""), accepted, "the schema of {what}");
-        let difference: Vec<&String> = reference.symmetric_difference(&accepted).collect();
-        if !difference.is_empty() {
-            wrong.push(format!("{what}: {difference:?}"));
+    let hold = |sections: &[&str], at: &str, simulated: &[&str], machine: &dyn Fn(&str) -> String| {
+        let mut listed = self::listed(&reference, sections);
+        if !simulated.is_empty() {
+            listed.remove("simulate");
+            let keys = self::listed(&reference, simulated);
+            listed.extend(keys.iter().map(|key| format!("simulate.{key}")));
         }
+        let accepted = accepted(machine, at, "");
+        assert!(accepted.len() > 1, "{sections:?}: {accepted:?}");
+        assert_eq!(listed, accepted, "the reference, and the reader of {sections:?}");
     };
-    hold("[cycle]", listed(&common, "[cycle]"), ("cycle", "/properties/cycle"), &|line| {
-        format!("{linmot}[cycle]\n{line}")
-    });
-    hold("[[group]]", listed(&common, "[[group]]"), ("group", "/properties/group/items"), &|line| {
-        format!("{linmot}[[group]]\n{line}")
-    });
-    let axis = |line: &str| format!("{linmot}[[soak.axis]]\ndrive = \"x\"\n{line}");
-    let at = ("soak.axis", "/properties/soak/properties/axis/items");
-    hold("[[soak.axis]]", listed(&common, "[[soak.axis]]"), at, &axis);
-    let criteria = |line: &str| format!("{linmot}[soak.criteria]\n{line}");
-    let at = ("soak.criteria", "/properties/soak/properties/criteria");
-    hold("[soak.criteria]", listed(&common, "[soak.criteria]"), at, &criteria);
-    for (page, name) in [
-        ("linudp", "linmot"),
-        ("modbus", "unidrive"),
-        ("ethercat", "kollmorgen"),
-        ("ethernet-ip", "moons"),
-        ("profibus", "lenze"),
-    ] {
-        let page = Page::read(&format!("docs/src/configuration-{page}.md"));
-        let protocol = part(name).split('"').nth(1).unwrap();
-        let in_schema = |list: &str| format!("/definitions/{protocol}{list}");
-        let both = |section: &str| &listed(&common, section) | &listed(&page, section);
-        let simulated = |keys: BTreeSet<String>| -> BTreeSet<String> {
-            keys.iter().map(|key| format!("simulate.{key}")).collect()
-        };
-        let faults = simulated(listed(&common, "simulate"));
-        // `simulate` is a table, and its keys stand in sections of their own. The faults of a segment are its bus'.
-        let [mut bus, mut drive] = [both("[[bus]]"), both("[[bus.drive]]")];
-        drive.remove("simulate");
-        drive.extend(simulated(listed(&page, "[bus.drive.simulate]")));
-        (if bus.remove("simulate") { &mut bus } else { &mut drive }).extend(faults);
-        bus.extend(simulated(listed(&page, "[bus.simulate]")));
-        let (head, tail) = part(name).split_once("[[bus.drive]]").unwrap();
-        let machine = |line: &str| format!("{head}{line}\n[[bus.drive]]{tail}");
-        hold(&format!("{} [[bus]]", page.name), bus, ("bus", &in_schema("")), &machine);
-        let machine = |line: &str| format!("{head}[[bus.drive]]{tail}{line}");
-        hold(
-            &format!("{} [[bus.drive]]", page.name),
-            drive,
-            ("bus.drive", &in_schema("/properties/drive/items")),
-            &machine,
-        );
-        let device = listed(&page, "[[bus.device]]");
-        if !device.is_empty() {
-            let machine = |line: &str| format!("{head}[[bus.drive]]{tail}[[bus.device]]\n{line}");
-            hold("[[bus.device]]", device, ("bus.device", &in_schema("/properties/device/items")), &machine);
+    let of = |table: &str| {
+        let table = table.to_owned();
+        move |line: &str| format!("{linmot}{table}\n{line}")
+    };
+    hold(&["cycle"], "cycle", &[], &of("[cycle]"));
+    hold(&["group"], "group", &[], &of("[[group]]"));
+    hold(&["soak.axis"], "soak.axis", &[], &of("[[soak.axis]]\ndrive = \"x\""));
+    hold(&["soak.criteria"], "soak.criteria", &[], &of("[soak.criteria]"));
+    for (name, machine) in PARTS {
+        let protocol = machine.split('"').nth(1).unwrap();
+        let own = |path: &str| format!("{protocol} {path}");
+        let (head, tail) = machine.split_once("[[bus.drive]]").unwrap();
+        // The faults of a segment are those of its bus.
+        let is_segment = matches!(name, "kollmorgen" | "lenze");
+        let (bus, wire) = (own("bus"), own("bus.simulate"));
+        let wire: &[&str] = if is_segment { &[&wire, "simulate"] } else { &[] };
+        let of_bus = |line: &str| format!("{head}{line}\n[[bus.drive]]{tail}");
+        hold(&["bus", &bus], "bus", wire, &of_bus);
+        let (drive, simulated) = (own("bus.drive"), own("bus.drive.simulate"));
+        let simulated: &[&str] = if is_segment { &[&simulated] } else { &[&simulated, "simulate"] };
+        let of_drive = |line: &str| format!("{head}[[bus.drive]]{tail}{line}");
+        hold(&["bus.drive", &drive], "bus.drive", simulated, &of_drive);
+        if name == "kollmorgen" {
+            let (device, simulated) = (own("bus.device"), own("bus.device.simulate"));
+            let of_device = |line: &str| format!("{head}[[bus.drive]]{tail}[[bus.device]]\n{line}");
+            hold(&[&device], "bus.device", &[&simulated], &of_device);
         }
     }
-    assert!(wrong.is_empty(), "keys of the reference alone, or of the reader alone:\n{}", wrong.join("\n"));
+}
+
+/// With `UPDATE_REFERENCE=1` in the environment the pages are written.
+#[test]
+fn the_tables_of_keys_are_those_of_the_reader() {
+    let reference = fieldbeat_config::reference();
+    let mut missing: BTreeSet<&str> = reference.iter().map(|(section, _)| section.as_str()).collect();
+    for page in pages() {
+        let mut text = page.text.clone();
+        for (section, table) in &reference {
+            let marker = format!("<!-- keys of {section} -->\n\n");
+            let Some((before, behind)) = text.split_once(&marker) else { continue };
+            missing.remove(section.as_str());
+            let rows: String =
+                behind.split_inclusive('\n').take_while(|line| line.starts_with('|')).collect();
+            text = format!("{before}{marker}{table}{}", &behind[rows.len()..]);
+        }
+        if text != page.text {
+            let is_wanted = std::env::var_os("UPDATE_REFERENCE").is_some();
+            assert!(is_wanted, "{}: UPDATE_REFERENCE=1 cargo test --test docs writes its tables", page.name);
+            fs::write(checkout(&page.name), text).unwrap();
+        }
+    }
+    assert!(missing.is_empty(), "in no page: {missing:?}");
 }
 
 #[test]

@@ -6,8 +6,57 @@ use fieldbeat_core::cycle::{CyclePlan, Guard, OnCost, Overrun, Plan, Shares, Wai
 use fieldbeat_core::rt::{Memory, Realtime};
 use fieldbeat_core::time::{Ns, S, US};
 use fieldbeat_keys::form::Form;
+use fieldbeat_keys::key::Key;
+use fieldbeat_keys::keys;
 use fieldbeat_keys::table::{Table, set, time, within_times};
 use fieldbeat_keys::value::{SHORT_NAME, alternatives, plain_name};
+
+keys! {
+    PERIOD "period" = "1ms": "period of the cycle, 50 us ... 1 s";
+    CORE "core" = "(the last core)": "core of the real-time thread; best one that the kernel command line "
+        "isolates";
+    PRIORITY "priority" = "80": "SCHED_FIFO priority, 1 ... 99";
+    RECEIVE_DEADLINE "receive_deadline" = "0.5": "replies are received until this share of the period, "
+        "0.05 ... 0.95; a later reply is a miss";
+    WAIT "wait" = "poll": "how replies are waited for: `\"poll\"` sleeps, `\"spin\"` reads the socket in a "
+        "loop and keeps the core busy";
+    MAX_SKIP_RATE "max_skip_rate" = "0.2": "with `\"skip\"`: a larger share of the last 100 slots skipped "
+        "stops all axes; `1.0`: not watched";
+    COST "cost" = "refuse": "a plan whose cycle [takes longer than its "
+        "period](host.md#what-a-cycle-costs): `\"refuse\"`, `\"warn\"` starts it all the same, `\"off\"` "
+        "estimates nothing";
+    REALTIME "realtime" = "prefer": "`\"require\"` refuses to start without the rights for SCHED_FIFO and "
+        "locked memory, `\"prefer\"` runs without them and says so, `\"off\"` uses an ordinary thread";
+    MEMORY "memory" = "process": "what is locked in RAM: the whole process, or the `\"own\"` memory of the "
+        "real-time thread";
+    TASK_BUDGET "task_budget" = "none": "longest time for the in-loop task; a longer one stops all axes";
+    HEARTBEAT "heartbeat" = "none": "longest silence of the application while an axis is enabled; a longer "
+        "one stops all enabled axes";
+    WATCH_AFTER "watch_after" = "(`\"500ms\"`, or 20 cycles if they are longer)":
+        "without a sign of life of the loop for so long, its [watch](stops.md#a-loop-that-is-stuck) stops "
+        "the drives and the run has failed; at least 20 ms and 5 cycles, at most 60 s; `\"off\"`: not "
+        "watched";
+    GUARDIAN_AFTER "guardian_after" = "(half as long again as `watch_after`; without a watch only once the process has died)":
+        "without a sign of life of the loop for so long, the [guardian](stops.md#the-guardian), a process "
+        "of its own, stops the LinMots; at once if the master's process has died. The same range; "
+        "`\"off\"`: there is none";
+    LATE "late" = "(a tenth of the period)": "limit for a late cycle: one that begins later than this "
+        "after its grid point, or spends longer in a stage, is counted with its cause";
+    BLACK_BOX "black_box" = "2s": "how much of the past the black box keeps; `\"0s\"` switches it off";
+    REFERENCE "reference" = "none": "name of the one bus whose clock leads the grid (EtherCAT); without it "
+        "this computer's clock leads";
+    GUARD "guard" = "off": "spin before each grid point: `\"off\"`, a time, or `\"auto\"` (calibrated at "
+        "the start). The thread wakes that much earlier and spins up to the grid point";
+    OVERRUN "overrun" = "skip": "a cycle that runs into the next grid point: `\"skip\"` keeps the grid and "
+        "counts the slots that were missed, `\"stop\"` stops all axes";
+    MAX_SKIP "max_skip" = "10": "with `\"skip\"`: more skipped slots in a row than this stop all axes; a "
+        "number, or a time such as `\"50ms\"`";
+    MAX_LATE_SHARE "max_late_share" = "0.1": "largest share of cycles that began late (`late`) with which "
+        "a run is [carried](diagnosis.md#carried-or-not); `1.0` judges none";
+    MAX_SKIPPED_SHARE "max_skipped_share" = "0.01": "likewise the largest share of skipped slots";
+    MAX_UNANSWERED_SHARE "max_unanswered_share" = "0.01": "likewise the largest share of exchanges that a "
+        "drive did not answer while it was online";
+}
 
 pub(super) const WAITS: [(&str, Wait); 2] = [("poll", Wait::Poll), ("spin", Wait::Spin)];
 pub(super) const REALTIMES: [(&str, Realtime); 3] =
@@ -18,51 +67,40 @@ pub(super) const MEMORIES: [(&str, Memory); 2] = [("process", Memory::Process), 
 
 /// The periods that a cycle may have, ns.
 const PERIODS: RangeInclusive<u64> = 50 * US..=S;
-const PERIOD_HINT: &str = "1ms is 1000 cycles a second";
 
 /// Why a cycle cannot have this period.
 pub(super) fn period_fault(period_ns: u64) -> Option<String> {
-    within_times(period_ns, &PERIODS, PERIOD_HINT).err()
+    within_times(period_ns, &PERIODS).err()
 }
 
 /// Reads `[cycle]`; every key has its default in [`CyclePlan`].
 pub(super) fn cycle(table: &mut Table<'_>) -> CyclePlan {
     let mut plan = CyclePlan::default();
-    set(&mut plan.period_ns, table.time("period", PERIODS, PERIOD_HINT));
+    set(&mut plan.period_ns, table.time(PERIOD, PERIODS));
     let period_ns = plan.period_ns;
-    plan.core = table.integer("core", 0..=1023, "cores are counted from 0; leave it out for the last one");
-    let priority = "80 is above interrupt threads and below the kernel's own";
-    set(&mut plan.priority, table.integer("priority", 1..=99, priority));
+    plan.core = table.integer(CORE, 0..=1023);
+    set(&mut plan.priority, table.integer(PRIORITY, 1..=99));
     set(&mut plan.guard, guard(table));
-    let deadline = "a share of the period, 0.5 is half of it";
-    set(&mut plan.receive_deadline, table.number("receive_deadline", 0.05..=0.95, deadline));
-    set(&mut plan.wait, table.word("wait", &WAITS));
+    set(&mut plan.receive_deadline, table.number(RECEIVE_DEADLINE, 0.05..=0.95));
+    set(&mut plan.wait, table.word(WAIT, &WAITS));
     set(&mut plan.overrun, overrun(table, period_ns));
-    let skips = "the largest share of the last 100 slots that may be skipped; 1.0 is not watched";
-    set(&mut plan.max_skip_rate, table.number("max_skip_rate", 0.0..=1.0, skips));
+    set(&mut plan.max_skip_rate, table.number(MAX_SKIP_RATE, 0.0..=1.0));
     let Shares { late, skipped, unanswered } = &mut plan.tolerated;
-    set(late, share(table, "max_late_share", "cycles that begin late"));
-    set(skipped, share(table, "max_skipped_share", "skipped slots"));
-    set(unanswered, share(table, "max_unanswered_share", "unanswered exchanges of a drive"));
-    set(&mut plan.cost, table.word("cost", &COSTS));
-    set(&mut plan.realtime, table.word("realtime", &REALTIMES));
-    set(&mut plan.memory, table.word("memory", &MEMORIES));
-    plan.task_budget_ns = table.time("task_budget", US..=period_ns, "the in-loop task runs once a cycle");
-    let silence =
-        "the longest silence of the application while an axis is enabled; leave it out for no limit";
-    plan.heartbeat_ns = table.time("heartbeat", period_ns..=3600 * S, silence);
-    let watch = "or \"off\"; the loop counts as stuck after so long without a sign of life";
-    let watch_ns = table.time_or_off("watch_after", CyclePlan::watch_range_ns(period_ns), watch);
+    set(late, share(table, MAX_LATE_SHARE));
+    set(skipped, share(table, MAX_SKIPPED_SHARE));
+    set(unanswered, share(table, MAX_UNANSWERED_SHARE));
+    set(&mut plan.cost, table.word(COST, &COSTS));
+    set(&mut plan.realtime, table.word(REALTIME, &REALTIMES));
+    set(&mut plan.memory, table.word(MEMORY, &MEMORIES));
+    plan.task_budget_ns = table.time(TASK_BUDGET, US..=period_ns);
+    plan.heartbeat_ns = table.time(HEARTBEAT, period_ns..=3600 * S);
+    let watch_ns = table.time_or_off(WATCH_AFTER, CyclePlan::watch_range_ns(period_ns));
     set(&mut plan.watch_after, watch_ns.map(|ns| ns.map_or(WatchAfter::Off, WatchAfter::Fixed)));
-    let guardian = "or \"off\"; the guardian stops LinMots after so long without a sign of life";
-    let guardian_ns = table.time_or_off("guardian_after", CyclePlan::watch_range_ns(period_ns), guardian);
+    let guardian_ns = table.time_or_off(GUARDIAN_AFTER, CyclePlan::watch_range_ns(period_ns));
     set(&mut plan.guardian_after, guardian_ns.map(|ns| ns.map_or(WatchAfter::Off, WatchAfter::Fixed)));
-    let late = "the lateness above which a cycle is counted as late, with its cause";
-    plan.late_ns = table.time("late", US..=period_ns, late);
-    let kept = "the length of the recording that is kept for a failure; 0s keeps none";
-    set(&mut plan.black_box_ns, table.time("black_box", 0..=60 * S, kept));
-    let leads = "the name of a bus, whose clock leads the grid";
-    plan.reference = table.text("reference", SHORT_NAME, leads, plain_name);
+    plan.late_ns = table.time(LATE, US..=period_ns);
+    set(&mut plan.black_box_ns, table.time(BLACK_BOX, 0..=60 * S));
+    plan.reference = table.text(REFERENCE, SHORT_NAME, "the name of a bus", plain_name);
     plan
 }
 
@@ -86,25 +124,22 @@ pub(super) fn check_reference(root: &Table<'_>, plan: &Plan) {
     root.fault("cycle.reference", format!("{what}; {remedy}"));
 }
 
-/// The share of `what` up to which a period counts as carried.
-fn share(table: &mut Table<'_>, key: &'static str, what: &str) -> Option<f64> {
-    let hint =
-        format!("the largest share of {what} with which the period counts as carried; 1.0 judges none");
-    table.number(key, 0.0..=1.0, &hint)
+/// The share up to which a period counts as carried.
+fn share(table: &mut Table<'_>, key: Key) -> Option<f64> {
+    table.number(key, 0.0..=1.0)
 }
 
 fn guard(table: &mut Table<'_>) -> Option<Guard> {
-    table.read("guard", Form::Time.or(Form::words(["off", "auto"])), |value| match value.as_str() {
+    table.read(GUARD, Form::Time.or(Form::words(["off", "auto"])), |value| match value.as_str() {
         Some("off") => Ok(Guard::Off),
         Some("auto") => Ok(Guard::Auto),
-        _ => time(value, &(US..), "or \"auto\", or \"off\"").map(Guard::Fixed),
+        _ => time(value, &(US..)).map(Guard::Fixed),
     })
 }
 
 fn overrun(table: &mut Table<'_>, period_ns: u64) -> Option<Overrun> {
-    let skips = table.word("overrun", &[("skip", true), ("stop", false)]);
-    let max_skip =
-        table.count("max_skip", 1..=1_000_000, period_ns, "the most slots that may be skipped in a row");
+    let skips = table.word(OVERRUN, &[("skip", true), ("stop", false)]);
+    let max_skip = table.count(MAX_SKIP, 1..=1_000_000, period_ns);
     match (skips, max_skip) {
         (Some(false), Some(_)) => {
             table.fault("max_skip", "needs overrun = \"skip\"; \"stop\" skips nothing, leave max_skip out");

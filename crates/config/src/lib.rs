@@ -6,6 +6,7 @@
 //! | `cycle` | `[cycle]`, and what would starve the host |
 //! | `describe` | a plan in words |
 //! | `json` | a plan as one JSON object |
+//! | `reference` | the tables of the manual |
 //! | `schema` | the JSON schema of a configuration |
 //! | `demo` | the plan of `fieldbeat demo` |
 //! | `soak` | `[soak]`: the moves and criteria of a soak test |
@@ -19,6 +20,7 @@ mod cycle;
 pub mod demo;
 pub mod describe;
 pub mod json;
+mod reference;
 pub mod schema;
 pub mod soak;
 
@@ -27,6 +29,7 @@ use std::time::Duration;
 
 pub use self::describe::describe;
 pub use self::json::json;
+pub use self::reference::reference;
 pub use self::schema::schema;
 pub use fieldbeat_keys::error::{ConfigError, ConfigErrors};
 
@@ -36,11 +39,23 @@ use fieldbeat_core::cycle::{GroupPlan, Plan};
 use fieldbeat_keys::Protocol;
 use fieldbeat_keys::file;
 use fieldbeat_keys::form::Form;
+use fieldbeat_keys::keys;
 use fieldbeat_keys::machine::Machine;
 use fieldbeat_keys::page::Page;
 use fieldbeat_keys::table::{Table, list};
 use fieldbeat_keys::value::{self, SHORT_NAME, plain_name};
 use fieldbeat_sim::SimPlan;
+
+keys! {
+    CYCLE "cycle" = "none": "the cycle that all buses share";
+    BUS "bus" = "(at least one)": "the buses: one `[[bus]]` each";
+    PROTOCOL "protocol" = "-": "`\"linudp-v2\"` (LinMot), `\"modbus-tcp\"` (Nidec Unidrive), "
+        "`\"ethercat\"` (Kollmorgen), `\"ethernet-ip\"` (MOONS') or `\"profibus-dp\"` (Lenze)";
+    GROUP "group" = "none": "axes that act together: one `[[group]]` each";
+    NAME "name" = "-": "name of the group";
+    AXES "axes" = "-": "names of its drives, like `[\"x\", \"y\"]`, in the order of its rows; they share "
+        "divisor, phase and stop group";
+}
 
 /// All protocols; the next one is a package, and one line more.
 pub const PROTOCOLS: [Protocol; 5] = [
@@ -117,26 +132,17 @@ pub fn duration(text: &str) -> Result<Duration, NotATime> {
 pub struct NotATime;
 fieldbeat_core::debug_as_display!(NotATime);
 
-/// Whose drives have which protocol.
-fn known_protocols() -> String {
-    let named = |protocol: &Protocol| format!("\"{}\" {}", protocol.name, protocol.drives);
-    // The verb stands in the first part only.
-    PROTOCOLS.each_ref().map(named).join(", ").replacen("\" ", "\" is ", 1)
-}
-
 fn machine(mut root: Table<'_>, change: impl FnOnce(&mut Plan, &Table<'_>)) -> Configuration {
-    let cycle = root.table("cycle", cycle::cycle);
+    let cycle = root.table(CYCLE, cycle::cycle);
     let mut machine = Machine::new(cycle.period_ns, cycle.deadline_ns());
     if !root.gives("bus") {
         root.fault("bus", "missing; a machine needs a [[bus]] with at least one [[bus.drive]]");
     }
     let readers = PROTOCOLS.map(|protocol| (protocol.name, protocol.read));
-    let protocols = known_protocols();
     let mut buses: Vec<Box<dyn BusPlan>> = Vec::new();
     let mut tables: Vec<(String, Table<'_>)> = Vec::new();
-    for mut table in root.tables("bus") {
-        table.require("protocol", &protocols);
-        if let Some(read) = table.word("protocol", &readers) {
+    for mut table in root.tables(BUS) {
+        if let Some(read) = table.word(PROTOCOL, &readers) {
             let bus = read(&mut table, &mut machine);
             tables.push((bus.name().to_owned(), table));
             buses.push(bus);
@@ -162,7 +168,7 @@ fn machine(mut root: Table<'_>, change: impl FnOnce(&mut Plan, &Table<'_>)) -> C
     if let Some(why) = plan.black_box_fault() {
         root.fault("cycle.black_box", why);
     }
-    for mut table in root.tables("group") {
+    for mut table in root.tables(GROUP) {
         let group = group(&mut table, &plan);
         plan.groups.extend(group);
         table.finish();
@@ -174,10 +180,8 @@ fn machine(mut root: Table<'_>, change: impl FnOnce(&mut Plan, &Table<'_>)) -> C
 
 /// A `[[group]]`: axes that act together.
 fn group(table: &mut Table<'_>, plan: &Plan) -> Option<GroupPlan> {
-    table.require("name", "the name by which programs use the group");
-    table.require("axes", "the names of its drives, like [\"x\", \"y\"]");
-    let name = table.text("name", SHORT_NAME, "1 to 32 letters, digits, - _ or .", plain_name);
-    let axes = table.read("axes", Form::Text(None).any_list(), |value| {
+    let name = table.text(NAME, SHORT_NAME, "1 to 32 letters, digits, - _ or .", plain_name);
+    let axes = table.read(AXES, Form::Text(None).any_list(), |value| {
         let names = list(value, .., |name| name.as_str().map(str::to_owned));
         names.ok_or("must be the names of drives, like [\"x\", \"y\"]".into())
     });

@@ -6,7 +6,41 @@ use fieldbeat_core::bus::facts::of_drives;
 use fieldbeat_core::cycle::{CyclePlan, Plan};
 use fieldbeat_core::time::{MS, Ns, S, nanos};
 use fieldbeat_keys::form::Form;
+use fieldbeat_keys::key::Key;
+use fieldbeat_keys::keys;
 use fieldbeat_keys::table::{POSITIVE, Table, list, number, set};
+
+keys! {
+    AXIS "axis" = "none": "how an axis moves: one `[[soak.axis]]` each";
+    DRIVE "drive" = "-": "name of the drive";
+    MOVE "move" = "true": "`false`: the axis stays where it is, and is not enabled";
+    VELOCITY "velocity" = "(`profile.velocity`)": "velocity of these moves";
+    ACCELERATION "acceleration" = "(`profile.acceleration`)": "acceleration and deceleration of these moves";
+    PAUSE "pause" = "500ms": "time between two of these moves";
+    HOLD "hold" = "2s": "each of the velocities is held for so long";
+    FOLLOWING_ERROR "following_error" = "none": "criterion: the largest following error that is good, in "
+        "user units";
+    CENTRE "centre" = "-": "middle of a sine that is streamed row by row";
+    AMPLITUDE "amplitude" = "-": "the sine goes so far to each side of its middle";
+    PERIOD "period" = "-": "time of one swing: `sine = { centre = 50.0, amplitude = 10.0, period = \"2s\" "
+        "}`. The sine grows within its first two; its largest velocity is 2 pi `amplitude` / `period` "
+        "meanwhile, too, and its largest acceleration 1.5 % above that of the whole sine";
+    LATE_SHARE "late_share" = "0.001": "skipped slots, and late cycles that skipped none, of all slots";
+    MISSED_SHARE "missed_share" = "0.001": "missed exchanges of each drive, of those that were sent";
+    LOST_LINKS "lost_links" = "0": "lost links of all drives";
+    FAULTS "faults" = "0": "faults of all drives";
+    STOPS "stops" = "0": "stops of all axes, but for the end";
+    MEMORY_GROWTH "memory_growth" = "8": "growth of the memory of a process after its warm-up, MB";
+    DESCRIPTOR_GROWTH "descriptor_growth" = "0": "growth of the number of its descriptors";
+    DRIFT "drift" = "0.5": "growth of a p99 from the first quarter of the test to the last, as a share of "
+        "the first";
+    TELEMETRY_LOST "telemetry_lost" = "0": "telemetry records lost";
+    FILES_LOST "files_lost" = "0": "checkpoints that could not be written";
+    WARM_UP "warm_up" = "10min": "memory and descriptors of a process are judged from then on";
+    TARGETS "targets" = "(see above)": "positions, one after the other, again and again";
+    VELOCITIES "velocities" = "(see above)": "velocities, one after the other, again and again; "
+        "`jog_deadman` has to be 300 ms or more, or off";
+}
 
 /// A soak test as configured and checked.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -168,9 +202,8 @@ pub(super) fn soak(table: &mut Table<'_>, plan: &Plan) -> SoakPlan {
         })
         .collect();
     let mut named: Vec<usize> = Vec::new();
-    for mut table in table.tables("axis") {
-        table.require("drive", "the name of the drive whose axis it is");
-        let name = table.text("drive", None, "the name of a drive", |name| Some(name.to_owned()));
+    for mut table in table.tables(AXIS) {
+        let name = table.text(DRIVE, None, "the name of a drive", |name| Some(name.to_owned()));
         let given = Given::read(&mut table);
         let place = name.as_ref().and_then(|name| axes.iter().position(|axis| axis.name == *name));
         match (name, place.and_then(|place| Some((place, known.get(place)?)))) {
@@ -249,23 +282,16 @@ struct Given {
 
 impl Given {
     fn read(table: &mut Table<'_>) -> Given {
-        let has_sine = table.gives("sine");
         Given {
-            moves: table.flag("move").unwrap_or(true),
-            targets: numbers(table, "targets", "positions, like [10.0, 90.0]"),
-            velocities: numbers(table, "velocities", "velocities, like [1.0, 0.0, -1.0]"),
-            sine: table.table("sine", |table| sine(table, has_sine)),
-            velocity: table.number("velocity", POSITIVE, "of each move, user units/s"),
-            acceleration: table.number("acceleration", POSITIVE, "of each move, user units/s²"),
-            pause_ns: table.time("pause", ..=3600 * S, "between two moves").unwrap_or(PAUSE_NS),
-            hold_ns: table
-                .time("hold", 10 * MS..=3600 * S, "each velocity is held for so long")
-                .unwrap_or(HOLD_NS),
-            following_error: table.number(
-                "following_error",
-                POSITIVE,
-                "the largest one that is good, user units",
-            ),
+            moves: table.flag(MOVE).unwrap_or(true),
+            targets: numbers(table, TARGETS, "positions, like [10.0, 90.0]"),
+            velocities: numbers(table, VELOCITIES, "velocities, like [1.0, 0.0, -1.0]"),
+            sine: table.optional("sine", sine),
+            velocity: table.number(VELOCITY, POSITIVE),
+            acceleration: table.number(ACCELERATION, POSITIVE),
+            pause_ns: table.time(PAUSE, ..=3600 * S).unwrap_or(PAUSE_NS),
+            hold_ns: table.time(HOLD, 10 * MS..=3600 * S).unwrap_or(HOLD_NS),
+            following_error: table.number(FOLLOWING_ERROR, POSITIVE),
         }
     }
 
@@ -346,20 +372,17 @@ fn extremes(swing: &Swing) -> [Row; 4] {
     ]
 }
 
-fn sine(table: &mut Table<'_>, is_given: bool) -> Option<Swing> {
-    for key in ["centre", "amplitude", "period"].into_iter().filter(|_| is_given) {
-        table.require(key, "sine = { centre = 50.0, amplitude = 10.0, period = \"2s\" }");
-    }
-    let centre = table.number("centre", .., "a position");
-    let amplitude = table.number("amplitude", POSITIVE, "to each side of the centre");
-    let period_ns = table.time("period", 100 * MS..=3600 * S, "time of one swing");
+fn sine(table: &mut Table<'_>) -> Option<Swing> {
+    let centre = table.number(CENTRE, ..);
+    let amplitude = table.number(AMPLITUDE, POSITIVE);
+    let period_ns = table.time(PERIOD, 100 * MS..=3600 * S);
     Some(Swing { centre: centre?, amplitude: amplitude?, period_s: period_ns? as f64 / S as f64 })
 }
 
 /// A list of at least one number.
-fn numbers(table: &mut Table<'_>, key: &'static str, hint: &str) -> Option<Vec<f64>> {
+fn numbers(table: &mut Table<'_>, key: Key, what: &str) -> Option<Vec<f64>> {
     table.read(key, Form::number(..).list(1, 1000), |value| {
-        list(value, 1..=1000, number).ok_or_else(|| format!("must be a list of 1 to 1000 {hint}"))
+        list(value, 1..=1000, number).ok_or_else(|| format!("must be a list of 1 to 1000 {what}"))
     })
 }
 
@@ -368,18 +391,16 @@ const MOST_COUNT: i128 = 1_000_000_000_000;
 
 fn criteria(table: &mut Table<'_>) -> Criteria {
     let mut all = Criteria::default();
-    let share = "the largest share that is good, 0.001 is one in a thousand";
-    set(&mut all.late_share, table.number("late_share", 0.0..=1.0, share));
-    set(&mut all.missed_share, table.number("missed_share", 0.0..=1.0, share));
-    let most = "the most that are good";
-    set(&mut all.lost_links, table.integer("lost_links", 0..=MOST_COUNT, most));
-    set(&mut all.faults, table.integer("faults", 0..=MOST_COUNT, most));
-    set(&mut all.stops, table.integer("stops", 0..=MOST_COUNT, most));
-    set(&mut all.memory_growth, table.number("memory_growth", 0.0.., "MB"));
-    set(&mut all.descriptor_growth, table.number("descriptor_growth", 0.0.., most));
-    set(&mut all.drift, table.number("drift", 0.0.., "0.5: a p99 may grow by half of what it was"));
-    set(&mut all.telemetry_lost, table.integer("telemetry_lost", 0..=MOST_COUNT, most));
-    set(&mut all.files_lost, table.integer("files_lost", 0..=MOST_COUNT, most));
-    set(&mut all.warm_up_ns, table.time("warm_up", .., "memory and descriptors are judged from then on"));
+    set(&mut all.late_share, table.number(LATE_SHARE, 0.0..=1.0));
+    set(&mut all.missed_share, table.number(MISSED_SHARE, 0.0..=1.0));
+    set(&mut all.lost_links, table.integer(LOST_LINKS, 0..=MOST_COUNT));
+    set(&mut all.faults, table.integer(FAULTS, 0..=MOST_COUNT));
+    set(&mut all.stops, table.integer(STOPS, 0..=MOST_COUNT));
+    set(&mut all.memory_growth, table.number(MEMORY_GROWTH, 0.0..));
+    set(&mut all.descriptor_growth, table.number(DESCRIPTOR_GROWTH, 0.0..));
+    set(&mut all.drift, table.number(DRIFT, 0.0..));
+    set(&mut all.telemetry_lost, table.integer(TELEMETRY_LOST, 0..=MOST_COUNT));
+    set(&mut all.files_lost, table.integer(FILES_LOST, 0..=MOST_COUNT));
+    set(&mut all.warm_up_ns, table.time(WARM_UP, ..));
     all
 }

@@ -2,9 +2,21 @@
 
 use std::net::{Ipv4Addr, SocketAddrV4};
 
+use super::key::Key;
 use super::machine::{Claim, Machine};
 use super::table::Table;
 use super::value::{ENDPOINT, SOMETHING, station};
+
+use crate::keys;
+
+keys! {
+    DRIVE "drive" = "(at least one)": "the drives: one `[[bus.drive]]` each";
+    SIMULATED_WIRE "simulate" = "none": "the segment or wire when it is simulated, see below";
+    DEVICE "device" = "none": "slaves that are no drives: one `[[bus.device]]` each";
+    SIMULATE "simulate" = "none": "the drive when it is simulated, see below and in the section of the "
+        "protocol";
+    DEFAULTS "defaults" = "none": "the table `[bus.defaults]`: keys for all drives of this bus";
+}
 
 /// Stands in for an address that was refused: the plan is not handed out then.
 pub const NOWHERE: SocketAddrV4 = SocketAddrV4::new(Ipv4Addr::UNSPECIFIED, 0);
@@ -14,17 +26,16 @@ pub const NOWHERE: SocketAddrV4 = SocketAddrV4::new(Ipv4Addr::UNSPECIFIED, 0);
 pub fn bind(
     table: &mut Table<'_>,
     machine: &mut Machine,
-    port: u16,
+    (key, port): (Key, u16),
     one: Option<&str>,
 ) -> Option<SocketAddrV4> {
-    table.require("bind", "the address of the network adapter of the drives, like \"192.168.1.1\"");
     let one = one.map(|why| format!("; never 0.0.0.0, since {why}"));
     let hint = format!(
         "the IPv4 address of an adapter, like \"192.168.1.1\", or with a port other than {port}{}",
         one.as_deref().unwrap_or_default()
     );
     let fits = |bind: &SocketAddrV4| one.is_none() || !bind.ip().is_unspecified();
-    let bind = table.text("bind", ENDPOINT, &hint, |text| station(text, port).filter(fits))?;
+    let bind = table.text(key, ENDPOINT, &hint, |text| station(text, port).filter(fits))?;
     machine.claim_bind(table, bind);
     Some(bind)
 }
@@ -34,13 +45,13 @@ pub fn address(
     table: &mut Table<'_>,
     machine: &mut Machine,
     bind: Option<Ipv4Addr>,
+    key: Key,
     (example, port): (&str, u16),
     claim: Claim,
 ) -> SocketAddrV4 {
-    table.require("address", &format!("the address of the drive, like \"{example}\""));
     let hint = format!("the IPv4 address of a drive, like \"{example}\", or with a port other than {port}");
     let somewhere = |address: &SocketAddrV4| !address.ip().is_unspecified();
-    let address = table.text("address", ENDPOINT, &hint, |text| station(text, port).filter(somewhere));
+    let address = table.text(key, ENDPOINT, &hint, |text| station(text, port).filter(somewhere));
     let Some(address) = address else { return NOWHERE };
     machine.claim_address(table, address, claim);
     if let Some(bind) = bind.filter(|bind| !bind.is_unspecified()) {
@@ -59,22 +70,16 @@ fn reachable(table: &Table<'_>, bind: Ipv4Addr, address: SocketAddrV4) {
 }
 
 /// The interface of a bus without IP, or its port, as `key` says.
-pub fn interface(
-    table: &mut Table<'_>,
-    machine: &mut Machine,
-    key: &'static str,
-    [missing, wrong]: [&str; 2],
-) -> Option<String> {
-    table.require(key, missing);
+pub fn interface(table: &mut Table<'_>, machine: &mut Machine, key: Key, wrong: &str) -> Option<String> {
     let text = |text: &str| (!text.is_empty()).then(|| text.to_owned());
     let interface = table.text(key, SOMETHING, wrong, text)?;
-    machine.claim_interface(table, key, &interface);
+    machine.claim_interface(table, key.name, &interface);
     Some(interface)
 }
 
 /// Motion is taken although nothing stops the drive if the master dies.
-pub fn accepts_no_watchdog(table: &mut Table<'_>) -> Option<bool> {
-    table.word("no_drive_watchdog", &[("accept", true), ("refuse", false)])
+pub fn accepts_no_watchdog(table: &mut Table<'_>, key: Key) -> Option<bool> {
+    table.word(key, &[("accept", true), ("refuse", false)])
 }
 
 /// The drives of a bus, each over its `[bus.defaults]`; `read` gets its place, too.
@@ -99,7 +104,7 @@ pub fn simulated<D, S>(
     let drives = drives.iter().enumerate();
     drives
         .filter_map(|(index, drive)| {
-            Some(table_of(index)?.table("simulate", |table| read(table, drive, index)))
+            Some(simulated_slave(&mut table_of(index)?, |table| read(table, drive, index)))
         })
         .collect()
 }
@@ -114,6 +119,21 @@ pub fn drive_tables<'a>(bus: &mut Table<'a>, own: &'static [&'static str]) -> Ve
 
 /// The same of a bus that may have no drive.
 pub fn drive_tables_if_any<'a>(bus: &mut Table<'a>, own: &'static [&'static str]) -> Vec<Table<'a>> {
-    let defaults = bus.sub_table("defaults");
-    bus.tables("drive").into_iter().map(|table| table.over(&defaults, own)).collect()
+    let defaults = bus.sub_table(DEFAULTS);
+    bus.tables(DRIVE).into_iter().map(|table| table.over(&defaults, own)).collect()
+}
+
+/// The tables of the devices of a bus that are no drives.
+pub fn devices<'a>(bus: &mut Table<'a>) -> Vec<Table<'a>> {
+    bus.tables(DEVICE)
+}
+
+/// Reads how the wire of a bus is simulated.
+pub fn simulated_wire<'a, T>(bus: &mut Table<'a>, read: impl FnOnce(&mut Table<'a>) -> T) -> T {
+    bus.table(SIMULATED_WIRE, read)
+}
+
+/// Reads how a slave is simulated, drive or not.
+pub fn simulated_slave<'a, T>(slave: &mut Table<'a>, read: impl FnOnce(&mut Table<'a>) -> T) -> T {
+    slave.table(SIMULATE, read)
 }

@@ -4,6 +4,7 @@
 use std::collections::BTreeMap;
 use std::ops::{Bound, RangeBounds};
 
+use super::key::Key;
 use super::value;
 
 /// What a key takes.
@@ -125,14 +126,14 @@ impl Form {
     }
 }
 
-/// What is known of one key.
-#[derive(Debug)]
-pub struct Key {
-    /// Its name.
-    pub name: &'static str,
-    /// What it takes; several where it depends.
+/// A key of the record.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Noted {
+    /// Its declaration.
+    pub key: Key,
+    /// The forms of its value; several where that depends.
     pub forms: Vec<Form>,
-    /// Its table has to have it.
+    /// The table has to have it.
     pub required: bool,
     /// It cannot stand in the table of defaults.
     pub own: bool,
@@ -141,14 +142,14 @@ pub struct Key {
 /// The keys of all tables of a file, by the path of their table and in the order in which they are read.
 #[derive(Debug, Default)]
 pub struct Record {
-    tables: BTreeMap<String, Vec<Key>>,
+    tables: BTreeMap<String, Vec<Noted>>,
     /// Tables that others fill in: the path of the table of defaults, and that of what it is for.
     defaults: BTreeMap<String, String>,
 }
 
 impl Record {
     /// The keys of the table at `path`.
-    pub fn keys(&self, path: &str) -> &[Key] {
+    pub fn keys(&self, path: &str) -> &[Noted] {
         self.tables.get(path).map_or(&[], Vec::as_slice)
     }
 
@@ -162,17 +163,21 @@ impl Record {
     }
 
     /// Notes that there is such a key.
-    pub(super) fn note(&mut self, path: &str, name: &'static str) -> &mut Key {
+    pub(super) fn note(&mut self, path: &str, key: Key) -> &mut Noted {
         let keys = self.tables.entry(path.to_owned()).or_default();
-        let at = keys.iter().position(|key| key.name == name).unwrap_or_else(|| {
-            keys.push(Key { name, forms: Vec::new(), required: false, own: false });
+        let at = keys.iter().position(|noted| noted.key.name == key.name).unwrap_or_else(|| {
+            keys.push(Noted { key, forms: Vec::new(), required: false, own: false });
             keys.len() - 1
         });
-        &mut keys[at]
+        let noted = &mut keys[at];
+        if noted.key.means.is_empty() {
+            noted.key = key;
+        }
+        noted
     }
 }
 
-impl Key {
+impl Noted {
     pub(super) fn takes(&mut self, form: &Form) {
         if !self.forms.iter_mut().any(|known| known.merge(form)) {
             self.forms.push(form.clone());
@@ -194,9 +199,9 @@ mod tests {
     fn an_end_that_depends_on_other_keys_is_not_stated() {
         let mut record = Record::default();
         for most in [4, 5] {
-            record.note("bus", "phase").takes(&Form::integer(0..=most));
+            record.note("bus", "phase".into()).takes(&Form::integer(0..=most));
         }
-        record.note("bus", "phase").takes(&Form::word("off"));
+        record.note("bus", "phase".into()).takes(&Form::word("off"));
         let [key] = record.keys("bus") else { panic!("one key") };
         let from_zero = Range { low: Bound::Included(0.0), high: Bound::Unbounded };
         assert_eq!(key.forms, [Form::Integer(from_zero), Form::word("off")]);
@@ -206,9 +211,12 @@ mod tests {
     fn keys_keep_the_order_in_which_they_are_read() {
         let mut record = Record::default();
         for name in ["period", "core", "period"] {
-            record.note("cycle", name);
+            record.note("cycle", name.into());
         }
-        assert_eq!(record.keys("cycle").iter().map(|key| key.name).collect::<Vec<_>>(), ["period", "core"]);
+        assert_eq!(
+            record.keys("cycle").iter().map(|noted| noted.key.name).collect::<Vec<_>>(),
+            ["period", "core"]
+        );
         assert!(record.keys("bus").is_empty());
     }
 }

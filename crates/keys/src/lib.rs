@@ -7,6 +7,7 @@
 //! | `page` | its lines, and the mistakes found so far |
 //! | `table` | a table, read key by key; unknown keys, ranges, words, places of mistakes |
 //! | `form` | what a key takes, and a record of all keys: what the schema is made from |
+//! | `key` | the declaration of a key: its name, its default, what it is for |
 //! | `value` | times with units, addresses, did-you-mean |
 //! | `error` | the mistakes |
 //! | `machine` | what must be unique in a machine |
@@ -20,6 +21,7 @@ pub mod drive;
 pub mod error;
 pub mod file;
 pub mod form;
+pub mod key;
 pub mod machine;
 pub mod outline;
 pub mod page;
@@ -41,11 +43,6 @@ pub struct Protocol {
     pub drives: &'static str,
     /// Reads the keys of a `[[bus]]`. What is wrong is noted on the table.
     pub read: fn(&mut Table<'_>, &mut Machine) -> Box<dyn BusPlan>,
-    /// The reference of its keys in docs/.
-    pub reference: &'static str,
-    /// The keys of a `[[bus]]` behind its protocol, with each table whose keys are read only if it is there: the schema
-    /// is recorded from it.
-    pub specimen: &'static str,
     /// What a first configuration of it has.
     pub outline: outline::Outline,
     /// What passes its wire, for captures.

@@ -7,6 +7,12 @@ use super::page::Place;
 use super::table::Table;
 use super::value::{self, SHORT_NAME, plain_name};
 
+use crate::keys;
+
+keys! {
+    NAME "name" = "(the protocol)": "name in messages and in `reference`; unique in the machine";
+}
+
 /// What must be unique in the whole machine, and where it was seen first.
 #[derive(Debug, Default)]
 pub struct Machine {
@@ -72,7 +78,7 @@ impl Machine {
 
     /// The bus' name, or its protocol's where it has none.
     pub fn bus_name(&mut self, table: &mut Table<'_>, protocol: &str) -> String {
-        let name = table.text("name", SHORT_NAME, "1 to 32 letters, digits, - _ or .", plain_name);
+        let name = table.text(NAME, SHORT_NAME, "1 to 32 letters, digits, - _ or .", plain_name);
         let name = name.unwrap_or_else(|| protocol.to_owned());
         if let Some(first) = seen_at(&mut self.buses, &name, table.place("name")) {
             table.fault(

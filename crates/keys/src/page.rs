@@ -43,6 +43,11 @@ impl<'a> Page<'a> {
         Page { record: Some(record), ..self }
     }
 
+    /// Whether keys are noted: then each list of tables has one, so that all keys are read.
+    pub(super) fn is_recorded(&self) -> bool {
+        self.record.is_some()
+    }
+
     pub(super) fn record(&self, note: impl FnOnce(&mut Record)) {
         if let Some(record) = self.record {
             note(&mut record.borrow_mut());

@@ -10,7 +10,8 @@ use std::ops::{Bound, RangeBounds};
 use toml::Spanned;
 use toml::de::{DeString, DeTable, DeValue};
 
-use super::form::{Form, Key, Range, listed};
+use super::form::{Form, Noted, Range, listed};
+use super::key::Key;
 use super::page::{Page, Place, shorten};
 use super::value;
 use fieldbeat_core::axis::PlanFault;
@@ -131,37 +132,41 @@ impl<'a> Table<'a> {
         self.layers.iter().any(|layer| layer.get(key).is_some())
     }
 
-    /// Notes a mistake if `key` is absent.
-    pub fn require(&mut self, key: &'static str, why: &str) {
-        let is_own = !self.has_defaults || self.own.contains(&key);
+    /// Notes a mistake if a required key is absent.
+    fn require(&self, key: Key) {
+        let is_own = !self.has_defaults || self.own.contains(&key.name);
         self.record(key, |noted| noted.required |= is_own);
-        if self.find(key).is_none() {
-            self.page.report(self.place_without(key), format!("missing; {why}"));
-        }
+        self.page.report(self.place_without(key.name), format!("missing; {}", key.hint()));
     }
 
     /// Records what is known of `key`, where a record is kept.
-    fn record(&self, key: &'static str, note: impl FnOnce(&mut Key)) {
+    fn record(&self, key: Key, note: impl FnOnce(&mut Noted)) {
         self.page.record(|record| {
             let noted = record.note(&self.layers[0].path, key);
-            noted.own |= self.own.contains(&key);
+            noted.own |= self.own.contains(&key.name);
             note(noted);
         });
     }
 
-    fn find(&mut self, key: &'static str) -> Option<(usize, Entry<'a>)> {
-        if !self.known.contains(&key) {
-            self.known.push(key);
+    fn find(&mut self, key: Key) -> Option<(usize, Entry<'a>)> {
+        let name = key.name;
+        if !self.known.contains(&name) {
+            self.known.push(name);
             self.record(key, |_| {});
         }
-        let layers = if self.own.contains(&key) { 1 } else { self.layers.len() };
-        self.layers[..layers].iter().enumerate().find_map(|(index, layer)| Some((index, layer.get(key)?)))
+        let layers = if self.own.contains(&name) { 1 } else { self.layers.len() };
+        let layers = self.layers[..layers].iter().enumerate();
+        let found = layers.filter_map(|(index, layer)| Some((index, layer.get(name)?))).next();
+        if found.is_none() && key.is_required() {
+            self.require(key);
+        }
+        found
     }
 
     /// A value of this form; `Err` says what it must be.
     pub fn read<T>(
         &mut self,
-        key: &'static str,
+        key: Key,
         form: Form,
         read: impl FnOnce(&DeValue<'a>) -> Result<T, String>,
     ) -> Option<T> {
@@ -170,35 +175,45 @@ impl<'a> Table<'a> {
         match read(entry.1.get_ref()) {
             Ok(value) => Some(value),
             Err(message) => {
-                self.page.report(self.place_in(&self.layers[layer], key, entry), message);
+                self.page.report(self.place_in(&self.layers[layer], key.name, entry), message);
                 None
             }
         }
     }
 
+    /// The same, where `Err` says only what is wrong: behind it stands what the key is for.
+    fn read_with_hint<T>(
+        &mut self,
+        key: Key,
+        form: Form,
+        read: impl FnOnce(&DeValue<'a>) -> Result<T, String>,
+    ) -> Option<T> {
+        self.read(key, form, |value| read(value).map_err(|why| format!("{why}; {}", key.hint())))
+    }
+
     /// The same, or this word: then `Some(None)`.
     pub fn read_or<T>(
         &mut self,
-        key: &'static str,
+        key: Key,
         form: Form,
         word: &str,
         read: impl FnOnce(&DeValue<'a>) -> Result<T, String>,
     ) -> Option<Option<T>> {
-        self.read(key, form.or(Form::word(word)), |value| match value.as_str() {
+        self.read_with_hint(key, form.or(Form::word(word)), |value| match value.as_str() {
             Some(text) if text == word => Ok(None),
-            _ => read(value).map(Some),
+            _ => read(value).map(Some).map_err(|why| format!("{why}, or \"{word}\"")),
         })
     }
 
     /// `true` or `false`.
-    pub fn flag(&mut self, key: &'static str) -> Option<bool> {
-        self.read(key, Form::Flag, |value| value.as_bool().ok_or("must be true or false".into()))
+    pub fn flag(&mut self, key: Key) -> Option<bool> {
+        self.read_with_hint(key, Form::Flag, |value| value.as_bool().ok_or("must be true or false".into()))
     }
 
     /// Text that passes `check`, which the regular expression `pattern` shows at a distance.
     pub fn text<T>(
         &mut self,
-        key: &'static str,
+        key: Key,
         pattern: impl Into<Option<&'static str>>,
         hint: &str,
         check: impl FnOnce(&str) -> Option<T>,
@@ -209,7 +224,7 @@ impl<'a> Table<'a> {
     }
 
     /// One of a few words.
-    pub fn word<T: Copy>(&mut self, key: &'static str, words: &[(&str, T)]) -> Option<T> {
+    pub fn word<T: Copy>(&mut self, key: Key, words: &[(&str, T)]) -> Option<T> {
         let (form, list) = listed(words);
         self.read(key, form, |value| {
             let known = words.iter().find(|(word, _)| Some(*word) == value.as_str());
@@ -218,44 +233,35 @@ impl<'a> Table<'a> {
     }
 
     /// A whole number.
-    pub fn integer<T: TryFrom<i128>>(
-        &mut self,
-        key: &'static str,
-        range: impl RangeBounds<i128>,
-        hint: &str,
-    ) -> Option<T> {
-        self.read(key, whole_form(&range), |value| whole(integer(value), &range, ["a whole number", hint]))
+    pub fn integer<T: TryFrom<i128>>(&mut self, key: Key, range: impl RangeBounds<i128>) -> Option<T> {
+        self.read_with_hint(key, whole_form(&range), |value| whole(integer(value), &range, "a whole number"))
     }
 
     /// A whole number, or `"any"`: then `Some(None)`.
     pub fn integer_or_any<T: TryFrom<i128>>(
         &mut self,
-        key: &'static str,
+        key: Key,
         range: impl RangeBounds<i128>,
-        hint: &str,
     ) -> Option<Option<T>> {
-        self.read_or(key, whole_form(&range), "any", |value| {
-            whole(integer(value), &range, ["a whole number, or \"any\"", hint])
-        })
+        self.read_or(key, whole_form(&range), "any", |value| whole(integer(value), &range, "a whole number"))
     }
 
     /// A count, or the time that so many of what comes every `every_ns` take, rounded up.
     pub fn count<T: TryFrom<i128>>(
         &mut self,
-        key: &'static str,
+        key: Key,
         range: impl RangeBounds<i128>,
         every_ns: u64,
-        hint: &str,
     ) -> Option<T> {
-        self.read(key, whole_form(&range).or(Form::Time), |value| {
+        self.read_with_hint(key, whole_form(&range).or(Form::Time), |value| {
             let time = value.as_str().and_then(value::duration);
             let number = integer(value).or(time.map(|ns| i128::from(ns.div_ceil(every_ns.max(1)))));
-            whole(number, &range, ["a whole number or a time like \"50ms\"", hint])
+            whole(number, &range, "a whole number or a time like \"50ms\"")
         })
     }
 
     /// A list of whole numbers up to `highest`, at most so many; none if the key is absent or wrong.
-    pub fn integers(&mut self, key: &'static str, most: usize, highest: u16) -> Vec<u16> {
+    pub fn integers(&mut self, key: Key, most: usize, highest: u16) -> Vec<u16> {
         let one = |value: &DeValue<'_>| {
             integer(value).and_then(|value| u16::try_from(value).ok()).filter(|value| *value <= highest)
         };
@@ -268,13 +274,13 @@ impl<'a> Table<'a> {
     }
 
     /// Bytes, at most so many; `None` if the key is absent.
-    pub fn byte_list(&mut self, key: &'static str, most: usize) -> Option<Vec<u8>> {
+    pub fn byte_list(&mut self, key: Key, most: usize) -> Option<Vec<u8>> {
         let bytes = self.integers(key, most, u16::from(u8::MAX));
-        self.gives(key).then(|| bytes.into_iter().map(|byte| byte as u8).collect())
+        self.gives(key.name).then(|| bytes.into_iter().map(|byte| byte as u8).collect())
     }
 
     /// Bytes, zeros behind them; `None` if the key is absent.
-    pub fn bytes<const N: usize>(&mut self, key: &'static str) -> Option<[u8; N]> {
+    pub fn bytes<const N: usize>(&mut self, key: Key) -> Option<[u8; N]> {
         let list = self.byte_list(key, N)?;
         Some(std::array::from_fn(|place| list.get(place).copied().unwrap_or(0)))
     }
@@ -282,7 +288,7 @@ impl<'a> Table<'a> {
     /// `false`, or up to `N` of what `one` reads and `form` shows; else it is `wrong`.
     pub fn some_of<T, const N: usize>(
         &mut self,
-        key: &'static str,
+        key: Key,
         form: Form,
         wrong: &str,
         one: impl FnMut(&DeValue<'a>) -> Result<T, String>,
@@ -294,79 +300,101 @@ impl<'a> Table<'a> {
     }
 
     /// A finite number, with or without a decimal point.
-    pub fn number(&mut self, key: &'static str, range: impl RangeBounds<f64>, hint: &str) -> Option<f64> {
+    pub fn number(&mut self, key: Key, range: impl RangeBounds<f64>) -> Option<f64> {
         let form = Form::Number(Range::of(&range, |bound| bound));
-        self.read(key, form, |value| {
-            let number = number(value).ok_or_else(|| format!("must be a number; {hint}"))?;
-            inside(number, &range, hint, |bound| bound)
+        self.read_with_hint(key, form, |value| {
+            let number = number(value).ok_or("must be a number")?;
+            inside(number, &range, |bound| bound)
         })
     }
 
     /// Two rising numbers, `[lowest, highest]`.
-    pub fn interval(&mut self, key: &'static str, hint: &str) -> Option<(f64, f64)> {
-        self.read(key, Form::Number(Range::ALL).list(2, 2), |value| {
+    pub fn interval(&mut self, key: Key) -> Option<(f64, f64)> {
+        self.read_with_hint(key, Form::Number(Range::ALL).list(2, 2), |value| {
             match list(value, 2..=2, number).as_deref() {
                 Some(&[low, high]) if low < high => Ok((low, high)),
-                Some(_) => Err(format!("must rise: [lowest, highest]; {hint}")),
-                None => Err(format!("must be two numbers, [lowest, highest]; {hint}")),
+                Some(_) => Err("must rise: [lowest, highest]".into()),
+                None => Err("must be two numbers, [lowest, highest]".into()),
             }
         })
     }
 
     /// A time in ns.
-    pub fn time(&mut self, key: &'static str, range: impl RangeBounds<u64>, hint: &str) -> Option<u64> {
-        self.read(key, Form::Time, |value| time(value, &range, hint))
+    pub fn time(&mut self, key: Key, range: impl RangeBounds<u64>) -> Option<u64> {
+        self.read_with_hint(key, Form::Time, |value| time(value, &range))
     }
 
     /// A time in ns, or `"off"`: then `Some(None)`.
-    pub fn time_or_off(
-        &mut self,
-        key: &'static str,
-        range: impl RangeBounds<u64>,
-        hint: &str,
-    ) -> Option<Option<u64>> {
-        self.read_or(key, Form::Time, "off", |value| time(value, &range, hint))
+    pub fn time_or_off(&mut self, key: Key, range: impl RangeBounds<u64>) -> Option<Option<u64>> {
+        self.read_or(key, Form::Time, "off", |value| time(value, &range))
     }
 
     /// What `read` makes of a sub-table, which is empty if it is absent. Unknown keys in it are mistakes.
-    pub fn table<T>(&mut self, key: &'static str, read: impl FnOnce(&mut Table<'a>) -> T) -> T {
+    pub fn table<T>(&mut self, key: impl Into<Key>, read: impl FnOnce(&mut Table<'a>) -> T) -> T {
         let mut table = self.sub_table(key);
         let result = read(&mut table);
         table.finish();
         result
     }
 
+    /// Whether keys are recorded: then what is absent is read all the same.
+    pub fn is_recorded(&self) -> bool {
+        self.page.is_recorded()
+    }
+
+    /// The same of a sub-table whose function is off without it.
+    pub fn optional<T>(
+        &mut self,
+        key: &'static str,
+        read: impl FnOnce(&mut Table<'a>) -> Option<T>,
+    ) -> Option<T> {
+        if !self.gives(key) && !self.page.is_recorded() {
+            self.later(key);
+            return None;
+        }
+        let table = self.layers.iter().find_map(|layer| layer.get(key));
+        let is_table = table.is_none_or(|(_, value)| value.get_ref().is_table());
+        // What is no table has no keys that could be missing.
+        self.table(key, |table| if is_table { read(table) } else { None })
+    }
+
     /// A sub-table whose keys are read elsewhere.
-    pub fn sub_table(&mut self, key: &'static str) -> Table<'a> {
+    pub fn sub_table(&mut self, key: impl Into<Key>) -> Table<'a> {
+        let key = key.into();
         self.find(key);
         self.record(key, |noted| noted.takes(&Form::Table));
+        let name = key.name;
         let mut layers = Vec::new();
         for layer in &self.layers {
-            let Some(entry) = layer.get(key) else { continue };
+            let Some(entry) = layer.get(name) else { continue };
             match entry.1.get_ref() {
                 DeValue::Table(entries) => layers.push(Layer {
-                    path: layer.path_to(key),
+                    path: layer.path_to(name),
                     line: self.page.line(entry.0.span().start),
                     entries: Some(entries),
                 }),
                 _ => {
-                    let message = format!("must be a table: {key} = {{ ... }}");
-                    self.page.report(self.place_in(layer, key, entry), message);
+                    let message = format!("must be a table: {name} = {{ ... }}");
+                    self.page.report(self.place_in(layer, name, entry), message);
                 }
             }
         }
         if layers.is_empty() {
             let own = &self.layers[0];
-            layers.push(Layer { path: own.path_to(key), line: own.line, entries: None });
+            layers.push(Layer { path: own.path_to(name), line: own.line, entries: None });
         }
         Table { page: self.page, layers, own: &[], has_defaults: self.has_defaults, known: Vec::new() }
     }
 
-    /// The tables under `[[key]]`, in order.
-    pub fn tables(&mut self, key: &'static str) -> Vec<Table<'a>> {
+    /// The tables under `[[key]]`, in order. Where keys are recorded, there is one, so that all are read.
+    pub fn tables(&mut self, key: Key) -> Vec<Table<'a>> {
         self.record(key, |noted| noted.takes(&Form::Tables));
-        let Some((layer, entry)) = self.find(key) else { return Vec::new() };
-        let path = self.layers[layer].path_to(key);
+        let Some((layer, entry)) = self.find(key) else {
+            let own = &self.layers[0];
+            let layer = Layer { path: own.path_to(key.name), line: own.line, entries: None };
+            return self.page.is_recorded().then(|| Table::new(self.page, layer)).into_iter().collect();
+        };
+        let path = self.layers[layer].path_to(key.name);
         let elements = entry.1.get_ref().as_array().map_or(&[][..], |array| array);
         let tables: Vec<Table<'a>> = elements
             .iter()
@@ -377,7 +405,7 @@ impl<'a> Table<'a> {
             })
             .collect();
         if tables.is_empty() || tables.len() != elements.len() {
-            let place = self.place_in(&self.layers[layer], key, entry);
+            let place = self.place_in(&self.layers[layer], key.name, entry);
             self.page.report(place, format!("must be a list of tables: write [[{path}]]"));
         }
         tables
@@ -388,9 +416,9 @@ impl<'a> Table<'a> {
         Table { layers: self.layers.clone(), known: Vec::new(), ..*self }
     }
 
-    /// `key` is read elsewhere.
+    /// The table at `key` is read elsewhere.
     pub fn later(&mut self, key: &'static str) {
-        self.find(key);
+        self.find(key.into());
     }
 
     /// Reports every key that nobody asked for.
@@ -475,17 +503,17 @@ pub fn up_to<'a, T, const N: usize>(
 }
 
 /// A time in ns within `range`.
-pub fn time(value: &DeValue<'_>, range: &impl RangeBounds<u64>, hint: &str) -> Result<u64, String> {
+pub fn time(value: &DeValue<'_>, range: &impl RangeBounds<u64>) -> Result<u64, String> {
     let ns = value
         .as_str()
         .and_then(value::duration)
-        .ok_or_else(|| format!("must be a time like \"250us\", \"1ms\" or \"0.5s\"; {hint}"))?;
-    within_times(ns, range, hint)
+        .ok_or("must be a time like \"250us\", \"1ms\" or \"0.5s\"")?;
+    within_times(ns, range)
 }
 
 /// The time `ns` if it is within `range`.
-pub fn within_times(ns: u64, range: &impl RangeBounds<u64>, hint: &str) -> Result<u64, String> {
-    inside(ns, range, hint, |bound| Ns(bound).to_string())
+pub fn within_times(ns: u64, range: &impl RangeBounds<u64>) -> Result<u64, String> {
+    inside(ns, range, |bound| Ns(bound).to_string())
 }
 
 /// A whole number within `range`.
@@ -502,11 +530,11 @@ fn whole_form(range: &impl RangeBounds<i128>) -> Form {
 fn whole<T: TryFrom<i128>>(
     number: Option<i128>,
     range: &impl RangeBounds<i128>,
-    [what, hint]: [&str; 2],
+    what: &str,
 ) -> Result<T, String> {
-    let number = number.ok_or_else(|| format!("must be {what}; {hint}"))?;
-    inside(number, range, hint, |bound| bound)?;
-    T::try_from(number).map_err(|_| format!("is out of range; {hint}"))
+    let number = number.ok_or_else(|| format!("must be {what}"))?;
+    inside(number, range, |bound| bound)?;
+    T::try_from(number).map_err(|_| "is out of range".into())
 }
 
 /// A finite number.
@@ -521,7 +549,6 @@ pub fn number(value: &DeValue<'_>) -> Option<f64> {
 fn inside<T: PartialOrd + Copy, D: fmt::Display>(
     value: T,
     range: &impl RangeBounds<T>,
-    hint: &str,
     show: impl Fn(T) -> D,
 ) -> Result<T, String> {
     let wrong = match (range.start_bound(), range.end_bound()) {
@@ -531,5 +558,5 @@ fn inside<T: PartialOrd + Copy, D: fmt::Display>(
         (_, Bound::Excluded(&high)) if value >= high => format!("must be below {}", show(high)),
         _ => return Ok(value),
     };
-    Err(format!("{wrong}; {hint}"))
+    Err(wrong)
 }

@@ -19,23 +19,63 @@ use fieldbeat_core::time::{MS, S, US};
 use fieldbeat_keys::bus::{accepts_no_watchdog, address, drives};
 use fieldbeat_keys::drive::{Counts, axis};
 use fieldbeat_keys::form::Form;
+use fieldbeat_keys::keys;
 use fieldbeat_keys::machine::{Claim, Machine};
 use fieldbeat_keys::table::{Table, elements, integer, set};
 use fieldbeat_keys::value::{HOST, unknown};
+
+keys! {
+    BIND "bind" = "none": "address of the network adapter that the connections leave from: "
+        "`\"192.168.1.1\"`. Without it the routes of this computer decide. A drive that accepts one "
+        "computer only sees this address";
+    SERIAL "serial" = "any": "required serial number, up to eighteen digits, read in each handshake before "
+        "anything is written. A drive with another one stays not connected, and one line has both. Without "
+        "it whatever drive answers at the address is taken. `fieldbeat pin` writes it";
+    UNIT "unit" = "(255, then 0)": "Modbus unit id of the drive, 0 ... 255; without the key, 255 is tried "
+        "first and 0 if that is not answered";
+    SLOT "slot" = "4": "slot of the Ethernet interface: 4 is the onboard one (M700, M702), 1 ... 3 has an "
+        "SI-Ethernet option (M701)";
+    ADDRESSING "addressing" = "standard": "how parameters become Modbus addresses, as Pr S.15.013 is set: "
+        "`\"standard\"` has 100 a menu, `\"modified\"` 256";
+    FUNCTION "function" = "auto": "Modbus functions of the exchange: `\"23\"` writes and reads in one "
+        "request, `\"16+3\"` in two, in turns. `\"auto\"` uses FC23, and FC16 and FC3 for the rest of the "
+        "run with a drive that refuses FC23, ignores it or closes the connection on it";
+    REPLY_WITHIN "reply_within" = "250ms": "longest time to a reply; nothing else is sent to this drive "
+        "meanwhile. Without a reply for twice as long, the connection is closed and opened again. Below "
+        "210 ms one lost frame costs the link: TCP repeats it after 200 ms. With a `watchdog.timeout` "
+        "below 250 ms and two exchanges, the default is shorter by these, and at least half the time-out";
+    SET_UP "set_up" = "true": "before the first Enable, sets the drive's RAM to what the master needs; "
+        "`false` only verifies it";
+    TRIP "trip" = "\"10.020\"": "number of the last trip, or `\"off\"`";
+    MONITOR "monitor" = "[\"04.020\"]": "up to four parameters that are shown with the feedback, or `false`";
+    ALSO_READ "also_read" = "[]": "further parameters for the native process data; ranges as `\"20.021 ... "
+        "20.030\"`";
+    SERIAL_FROM "serial_from" = "[\"11.052\", \"11.053\"]": "where it is read (assumed): the lower nine "
+        "digits, and those above them, two parameters of 32 bits";
+    VIA "via" = "direct": "`\"direct\"` reads and writes one block of parameters in each request, in "
+        "turns. `\"menu-0\"` sets the drive to show all of them in menu 0, and each request carries all. "
+        "`{ menu_0 = 11 }` begins at Pr 00.011";
+    TIMEOUT "timeout" = "500ms": "the drive trips after so long without Modbus traffic (Pr S.15.009); "
+        "`\"off\"` leaves that parameter as it is";
+    KEYPAD "keypad" = "false": "the watchdog in bit 14 of the control word, about 1 s";
+    CONTROL "control" = "06.042": "control word";
+    REFERENCE "reference" = "01.021": "speed setpoint";
+    STATUS "status" = "\"10.040\"": "status word";
+    SPEED "speed" = "03.002": "speed feedback";
+    ADDRESS "address" = "-": "address of the drive: `\"192.168.1.20\"`, or with another port than 502. One "
+        "drive per address and port";
+    NO_DRIVE_WATCHDOG "no_drive_watchdog" = "refuse": "a drive with neither watchdog is not enabled, or is "
+        "with `\"accept\"`";
+}
 
 /// This protocol, for the list of all of them.
 pub const REGISTERED: Protocol = Protocol {
     name: PROTOCOL,
     drives: "Nidec Unidrive",
     read: bus,
-    reference: include_str!("../files/configuration-modbus.md"),
-    specimen: SPECIMEN,
     outline: outline::OUTLINE,
     telegrams: telegrams::TELEGRAMS,
 };
-
-/// With each table that may be missing.
-pub const SPECIMEN: &str = "[[bus.drive]]\nname = \"x\"\naddress = \"127.0.0.2\"\n";
 
 /// Reads a `[[bus]]`.
 pub fn bus(table: &mut Table<'_>, machine: &mut Machine) -> Box<dyn BusPlan> {
@@ -50,32 +90,28 @@ fn bind(table: &mut Table<'_>) -> Option<Ipv4Addr> {
          whichever leads to the drives";
     // The port is the kernel's choice.
     let own = |text: &str| text.parse().ok().filter(|ip: &Ipv4Addr| !ip.is_unspecified());
-    table.text("bind", HOST, hint, |text| own(text).filter(|ip| !ip.is_multicast() && !ip.is_broadcast()))
+    table.text(BIND, HOST, hint, |text| own(text).filter(|ip| !ip.is_multicast() && !ip.is_broadcast()))
 }
 
 fn drive(table: &mut Table<'_>, machine: &mut Machine, bind: Option<Ipv4Addr>) -> UnidriveDrive {
     let axis = axis(table, machine, Counts::revolutions(1.0));
-    let address = address(table, machine, bind, ("192.168.1.20", PORT), Claim::Port);
+    let address = address(table, machine, bind, ADDRESS, ("192.168.1.20", PORT), Claim::Port);
     let period_ns = machine.period_ns.saturating_mul(u64::from(axis.divisor));
     let mut drive = UnidriveDrive { axis, address, ..UnidriveDrive::new("", *address.ip()) };
     let serials = 0..=UnidriveDrive::SERIAL_MAX.into();
-    let serial = "the serial number that fieldbeat pin shows";
-    set(&mut drive.serial, table.integer_or_any("serial", serials, serial));
+    set(&mut drive.serial, table.integer_or_any(SERIAL, serials));
     set(&mut drive.serial_from, serial_from(table));
-    let unit = "the unit id of the drive; leave it out for 255, or 0 behind it";
-    drive.unit = table.integer("unit", 0..=255, unit);
-    let slot = "where its Ethernet interface is: 4 onboard, 1 ... 3 an SI-Ethernet option";
-    set(&mut drive.slot, table.integer("slot", 1..=4, slot));
+    drive.unit = table.integer(UNIT, 0..=255);
+    set(&mut drive.slot, table.integer(SLOT, 1..=4));
     let words = [("standard", Addressing::Standard), ("modified", Addressing::Modified)];
-    set(&mut drive.addressing, table.word("addressing", &words));
+    set(&mut drive.addressing, table.word(ADDRESSING, &words));
     map(table, &mut drive.map);
     set(&mut drive.via, via(table));
     let words = [("auto", Functions::Auto), ("23", Functions::ReadWrite), ("16+3", Functions::Apart)];
-    set(&mut drive.functions, table.word("function", &words));
-    let reply = "the time within which a reply counts";
-    let reply_within_ns = table.time("reply_within", 100 * US..=10 * S, reply);
+    set(&mut drive.functions, table.word(FUNCTION, &words));
+    let reply_within_ns = table.time(REPLY_WITHIN, 100 * US..=10 * S);
     watchdog(table, &mut drive.watchdog);
-    set(&mut drive.set_up, table.flag("set_up"));
+    set(&mut drive.set_up, table.flag(SET_UP));
     let usual_ns = UnidriveDrive::usual_reply_within(&drive.watchdog, period_ns);
     drive.reply_within_ns = reply_within_ns.unwrap_or(usual_ns);
     table.later("simulate");
@@ -86,19 +122,19 @@ fn drive(table: &mut Table<'_>, machine: &mut Machine, bind: Option<Ipv4Addr>) -
 fn map(table: &mut Table<'_>, map: &mut Map) {
     table.table("map", |table| {
         let mut read = |place: &mut Mapped, key| set(place, table.read(key, parameter_form(), one));
-        read(&mut map.control, "control");
-        read(&mut map.reference, "reference");
-        read(&mut map.status, "status");
-        read(&mut map.speed, "speed");
-        let trip = table.read("trip", parameter_form(), |value| match value.as_str() {
+        read(&mut map.control, CONTROL);
+        read(&mut map.reference, REFERENCE);
+        read(&mut map.status, STATUS);
+        read(&mut map.speed, SPEED);
+        let trip = table.read(TRIP, parameter_form(), |value| match value.as_str() {
             Some("off") => Ok(None),
             _ => one(value).map(Some),
         });
         set(&mut map.trip, trip);
     });
     let wrong = "must be false, or up to four parameters like [\"04.020\", \"dc-bus-voltage\"]";
-    set(&mut map.show, table.some_of("monitor", parameter_form(), wrong, one));
-    set(&mut map.also, table.read("also_read", parameter_form().any_list(), also_read));
+    set(&mut map.show, table.some_of(MONITOR, parameter_form(), wrong, one));
+    set(&mut map.also, table.read(ALSO_READ, parameter_form().any_list(), also_read));
 }
 
 /// Parameters, and ranges of them.
@@ -195,7 +231,7 @@ impl Size {
 
 /// The two parameters with a serial number.
 fn serial_from(table: &mut Table<'_>) -> Option<[Parameter; 2]> {
-    table.read("serial_from", Form::Text(None).list(2, 2), |value| {
+    table.read(SERIAL_FROM, Form::Text(None).list(2, 2), |value| {
         let wrong = "must be two parameters like [\"11.052\", \"11.053\"]";
         let mut both = elements(value, 2..=2).ok_or(wrong)?;
         let mut next = || both.next().and_then(DeValue::as_str).ok_or(FORMS.to_owned()).and_then(parameter);
@@ -207,7 +243,7 @@ fn serial_from(table: &mut Table<'_>) -> Option<[Parameter; 2]> {
 fn via(table: &mut Table<'_>) -> Option<Via> {
     const FORMS: &str = "must be \"direct\", \"menu-0\", or { menu_0 = 11 } for menu 0 from Pr 00.011 on";
     let from = Form::Fields(vec![("menu_0", Form::integer(1..=80), true)]);
-    table.read("via", Form::words(["direct", "menu-0"]).or(from), |value| match value.as_str() {
+    table.read(VIA, Form::words(["direct", "menu-0"]).or(from), |value| match value.as_str() {
         Some("direct") => Ok(Via::Direct),
         Some("menu-0") => Ok(Via::Menu0 { first: 1 }),
         Some(_) => Err(FORMS.into()),
@@ -221,10 +257,9 @@ fn via(table: &mut Table<'_>) -> Option<Via> {
 }
 
 fn watchdog(table: &mut Table<'_>, watchdog: &mut Watchdog) {
-    let hint = "the drive trips after this time without Modbus traffic; or \"off\"";
     table.table("watchdog", |table| {
-        set(&mut watchdog.timeout_ns, table.time_or_off("timeout", MS..=WATCHDOG_MAX_NS, hint));
-        set(&mut watchdog.keypad, table.flag("keypad"));
+        set(&mut watchdog.timeout_ns, table.time_or_off(TIMEOUT, MS..=WATCHDOG_MAX_NS));
+        set(&mut watchdog.keypad, table.flag(KEYPAD));
     });
-    set(&mut watchdog.accept_none, accepts_no_watchdog(table));
+    set(&mut watchdog.accept_none, accepts_no_watchdog(table, NO_DRIVE_WATCHDOG));
 }

@@ -2,44 +2,56 @@
 
 use super::{Carrier, FaultPlan};
 use fieldbeat_core::time::{MS, S};
+use fieldbeat_keys::keys;
 use fieldbeat_keys::table::Table;
+
+keys! {
+    SEED "seed" = "0": "seed of the random faults; each drive adds its place in the file";
+    DELAY_BY "delay_by" = "(one period of the drive)": "how much later a delayed datagram arrives";
+    STALL_FOR "stall_for" = "100ms": "length of a stall";
+    STO_FOR "sto_for" = "100ms": "how long the hardware enable stays open";
+    ANSWER_TIME "answer_time" = "0us": "time from a request to its reply";
+    DROP "drop" = "0": "rate of lost datagrams";
+    DUPLICATE "duplicate" = "0": "rate of duplicated datagrams";
+    CORRUPT "corrupt" = "0": "rate of datagrams with a wrong bit";
+    DELAY "delay" = "0": "rate of delayed datagrams";
+    REORDER "reorder" = "0": "rate of datagrams that overtake each other";
+    STALL "stall" = "0": "rate of stalls: the drive stops answering";
+    RESTART "restart" = "0": "rate of restarts of the drive";
+    STO "sto" = "0": "rate at which the hardware enable (STO) opens";
+    WRONG_ID "wrong_id" = "0": "rate of replies with a wrong identity";
+    SPLIT "split" = "0": "rate of messages on a connection that arrive one byte at a time";
+    CUT "cut" = "0": "rate of connections that end in the middle of a reply";
+    SEGMENT_LOSS "segment_loss" = "0": "rate of lost TCP segments. TCP sends a lost segment again after "
+        "200 ms, and after twice the time each time after that; later ones wait behind it";
+}
 
 /// Reads those of drive `index` of its bus, with an exchange every `period_ns`.
 pub fn faults(table: &mut Table<'_>, carrier: Carrier, period_ns: u64, index: usize) -> FaultPlan {
-    let (what, stream) = match carrier {
-        Carrier::Datagrams => ("datagram", false),
-        Carrier::Stream => ("message", true),
-    };
-    let each = format!("a probability for each {what}");
-    let late = format!("the delay of a delayed {what}");
-    let rate = |table: &mut Table<'_>, key| table.number(key, 0.0..=1.0, &each).unwrap_or(0.0);
+    let stream = carrier == Carrier::Stream;
+    let rate = |table: &mut Table<'_>, key| table.number(key, 0.0..=1.0).unwrap_or(0.0);
     let of_stream = |table: &mut Table<'_>, key| if stream { rate(table, key) } else { 0.0 };
-    let seed: u64 =
-        table.integer("seed", 0..=i128::from(u32::MAX), "the same seed gives the same faults").unwrap_or(0);
+    let seed: u64 = table.integer(SEED, 0..=i128::from(u32::MAX)).unwrap_or(0);
     FaultPlan {
         // Drives with one seed in common would lose the same datagrams.
         seed: seed + index as u64,
-        drop: rate(table, "drop"),
-        duplicate: rate(table, "duplicate"),
-        corrupt: rate(table, "corrupt"),
-        delay: rate(table, "delay"),
-        delay_ns: table.time("delay_by", ..=10 * S, &late).unwrap_or(period_ns),
-        reorder: rate(table, "reorder"),
-        stall: rate(table, "stall"),
-        stall_ns: table
-            .time("stall_for", ..=600 * S, "how long a stalled drive is silent")
-            .unwrap_or(100 * MS),
-        restart: rate(table, "restart"),
-        sto: rate(table, "sto"),
-        sto_ns: table
-            .time("sto_for", ..=600 * S, "how long the hardware enable (STO) stays open")
-            .unwrap_or(100 * MS),
-        wrong_id: rate(table, "wrong_id"),
-        split: of_stream(table, "split"),
-        cut: of_stream(table, "cut"),
+        drop: rate(table, DROP),
+        duplicate: rate(table, DUPLICATE),
+        corrupt: rate(table, CORRUPT),
+        delay: rate(table, DELAY),
+        delay_ns: table.time(DELAY_BY, ..=10 * S).unwrap_or(period_ns),
+        reorder: rate(table, REORDER),
+        stall: rate(table, STALL),
+        stall_ns: table.time(STALL_FOR, ..=600 * S).unwrap_or(100 * MS),
+        restart: rate(table, RESTART),
+        sto: rate(table, STO),
+        sto_ns: table.time(STO_FOR, ..=600 * S).unwrap_or(100 * MS),
+        wrong_id: rate(table, WRONG_ID),
+        split: of_stream(table, SPLIT),
+        cut: of_stream(table, CUT),
         // Read where there is a serial wire.
         lost_byte: 0.0,
-        segment_loss: of_stream(table, "segment_loss"),
-        answer_ns: table.time("answer_time", ..=S, "the time from a request to its reply").unwrap_or(0),
+        segment_loss: of_stream(table, SEGMENT_LOSS),
+        answer_ns: table.time(ANSWER_TIME, ..=S).unwrap_or(0),
     }
 }

@@ -22,19 +22,75 @@ use super::plan::{EthercatPlan, KollmorgenDrive, Mapping, Owner, Scaling, SlaveP
 use fieldbeat_core::axis::feedback::MONITOR_CHANNELS;
 use fieldbeat_core::bus::BusPlan;
 use fieldbeat_core::time::{MS, S, US};
-use fieldbeat_keys::bus::{accepts_no_watchdog, drive_tables, drive_tables_if_any, interface};
+use fieldbeat_keys::bus::{accepts_no_watchdog, devices, drive_tables, drive_tables_if_any, interface};
 use fieldbeat_keys::drive::{Counts, axis};
 use fieldbeat_keys::form::Form;
+use fieldbeat_keys::keys;
 use fieldbeat_keys::machine::Machine;
 use fieldbeat_keys::table::{POSITIVE, Table, integer, set};
+
+keys! {
+    SYNC_AHEAD "sync_ahead" = "(half of the period)": "how long before SYNC0 a frame leaves the master";
+    LRW "lrw" = "true": "outputs and inputs share one LRW datagram, which all slaves have to support; "
+        "`false`: LWR and LRD";
+    POSITION "position" = "(one more than the slave before it in the file)":
+        "position in the segment; 0 is next to the master";
+    TYPE "type" = "s700": "`\"s300\"`, `\"s400\"`, `\"s600\"` and `\"s700\"` have the same defaults; or "
+        "`\"akd\"`";
+    CHECK_PRBASE "check_prbase" = "true": "compares 608Fh:1 / 608Fh:2 of the drive with `prbase`";
+    SETPOINTS "setpoints" = "master": "`\"native\"`: all targets are the application's, by native outputs; "
+        "the master drives none";
+    HOME_METHOD "home_method" = "(as set in the drive)": "homing method (6098h), -128 ... 127";
+    ABSOLUTE "absolute" = "false": "its encoder is absolute: it is homed from the start. See "
+        "[below](#when-a-drive-is-homed)";
+    MONITOR "monitor" = "false": "up to four objects that are shown with the feedback, read by the mailbox "
+        "in turns";
+    CHECK_SII "check_sii" = "true": "compares mailboxes and process data in the SII with the "
+        "configuration: start addresses, the lengths of mailboxes, and those of process data of a device "
+        "unless `start_up` selects or maps PDOs (`0x1600` ... `0x1BFF`, `0x1C10` ... `0x1C2F`)";
+    SDO_TIMEOUT "sdo_timeout" = "2s": "how long the slave may take for one SDO answer, `\"10ms\"` ... "
+        "`\"60s\"`: the `ResponseTimeout` of its description (ESI). A lost or late answer is requested "
+        "again, up to three times in all";
+    STATE_TIMEOUT "state_timeout" = "5s": "how long the slave may take for one change of state, and twice "
+        "that into OP, `\"100ms\"` ... `\"60s\"`: the state machine time-outs of its description (ESI)";
+    START_UP "start_up" = "[]": "objects written in PREOP: `[{ object = \"0x35D5:1\", value = 4 }]`; up to "
+        "4 bytes each; with a mailbox of more than 16 bytes also strings of up to 128: `{ object = "
+        "\"0x8005:0.text\", value = \"left axis\" }`, `{ object = \"0x8005:1.octets\", value = \"01 A0 "
+        "FF\" }`";
+    WATCHDOG "watchdog" = "(as its SII has it)": "SyncManager watchdog: without outputs for so long, "
+        "`\"100us\"` ... `\"6553.5ms\"`, the slave falls back by itself; or `\"off\"`. See "
+        "[below](#the-watchdog-of-a-slave)";
+    MAPPING "mapping" = "(by the PDOs)": "`\"fixed\"`: PDOs are selected; `\"free\"`: the master maps the "
+        "objects; `\"as-is\"`: nothing is written";
+    MODE "mode" = "(by the first target in `pdo.outputs`)": "mode of operation (6060h), a number or a "
+        "name: it decides which target is driven. See [below](#what-is-in-the-outputs-of-a-drive)";
+    PRBASE "prbase" = "20": "increments of one turn as a power of two (PRBASE of the drive)";
+    VELOCITY_RPM_PER_COUNT "velocity_rpm_per_count" = "(2^20 increments a turn per 250 us; AKD `0.001`)":
+        "rpm of one count of the velocity setpoint";
+    TORQUE_PERMILLE_PER_COUNT "torque_permille_per_count" = "1": "per mille of the rated torque or current "
+        "of one count of the torque setpoint";
+    RATED_CURRENT "rated_current" = "none": "rated current of the motor, A; needed to report the current";
+    INTERFACE "interface" = "-": "network interface of the segment, `\"eth1\"`; `\"local:NAME\"` is a "
+        "segment of simulated drives on this computer";
+    OUTPUTS "outputs" = "\"0x1702\"": "process data to the drive: a known fixed PDO (`\"0x1701\"` "
+        "position, `\"0x1702\"` velocity, `\"0x1703\"` torque), a list of objects to map, or `{ pdo = "
+        "\"0x1704\", objects = [...] }`";
+    INPUTS "inputs" = "(`\"0x1B03\"`; AKD `\"0x1B24\"`)": "process data from the drive";
+    BUFFERS_OUTPUTS "outputs" = "0x1100": "start address of the process data to the drive";
+    BUFFERS_INPUTS "inputs" = "0x1140": "start address of the process data from the drive";
+    NO_DRIVE_WATCHDOG "no_drive_watchdog" = "refuse": "without a time in `watchdog`: velocities and "
+        "torques are refused, or allowed by `\"accept\"`";
+    SYNC "sync" = "(`true` of a drive, `false` of a device)": "the slave works by SYNC0 of its distributed "
+        "clock; `false`: by the arrival of the frame. Its cycle time, 60C2h, is written with `true` only, "
+        "and is optional even then: a drive without it, or that only lets it be read, is named once, and "
+        "has to find its cycle by SYNC0 or by a parameter of its own";
+}
 
 /// This protocol, for the list of all of them.
 pub const REGISTERED: Protocol = Protocol {
     name: PROTOCOL,
     drives: "Kollmorgen S300 ... S700",
     read: bus,
-    reference: include_str!("../../files/configuration-ethercat.md"),
-    specimen: SPECIMEN,
     outline: outline::OUTLINE,
     telegrams: telegrams::TELEGRAMS,
 };
@@ -49,34 +105,26 @@ const SDO_TIMEOUTS: RangeInclusive<u64> = 10 * MS..=60 * S;
 /// The range of `state_timeout`.
 const STATE_TIMEOUTS: RangeInclusive<u64> = 100 * MS..=60 * S;
 
-/// What its interface is, where it is missing and where it is wrong.
-const INTERFACE: [&str; 2] = [
-    "the network interface of the segment, like \"eth1\", or \"local:NAME\" for simulated slaves on this \
-     computer",
-    "the name of a network interface, like \"eth1\"",
-];
-
-/// With each table that may be missing.
-pub const SPECIMEN: &str = "interface = \"local:x\"\n[[bus.drive]]\nname = \"x\"\nmailbox = {}\n\
-     [[bus.device]]\nname = \"y\"\n\
-     outputs = {}\ninputs = {}\nmailbox = {}\nsimulate = { behind = {}, outputs = {}, inputs = {} }\n\
-     [[bus.device]]\nname = \"z\"\noutputs = [{}]\ninputs = [{}]\n";
-
 /// What no two drives have in common.
 const OWN: &[&str] = &["name", "position", "serial", "alias", "identification"];
 
 /// Reads a `[[bus]]`.
 pub fn bus(table: &mut Table<'_>, machine: &mut Machine) -> Box<dyn BusPlan> {
     let name = machine.bus_name(table, PROTOCOL);
-    let interface = interface(table, machine, "interface", INTERFACE).unwrap_or_default();
+    let interface = interface(
+        table,
+        machine,
+        INTERFACE,
+        "the name of a network interface, like \"eth1\", or \"local:NAME\"",
+    )
+    .unwrap_or_default();
     let is_known = !interface.is_empty();
     // Terminals alone are a segment, too.
     let of_drives = if table.gives("device") { drive_tables_if_any } else { drive_tables };
-    let (mut drives, mut devices) = (of_drives(table, OWN), table.tables("device"));
+    let (mut drives, mut devices) = (of_drives(table, OWN), devices(table));
     let mut plan = EthercatPlan { name, ..EthercatPlan::new(interface, Vec::new()) };
-    let ahead = "the time between the departure of a frame and SYNC0";
-    plan.ahead_of_sync_ns = table.time("sync_ahead", US..=S, ahead);
-    set(&mut plan.lrw, table.flag("lrw"));
+    plan.ahead_of_sync_ns = table.time(SYNC_AHEAD, US..=S);
+    set(&mut plan.lrw, table.flag(LRW));
     plan.drives = drives.iter_mut().map(|table| drive(table, machine)).collect();
     plan.devices = devices.iter_mut().map(|table| device(table, machine)).collect();
     table.later("simulate");
@@ -102,8 +150,7 @@ fn place<'a>(plan: &mut EthercatPlan, drives: &mut [Table<'a>], devices: &mut [T
     slaves.sort_by_key(|(_, table)| table.line());
     let mut next = 0;
     for (slave, table) in slaves {
-        let hint = "its place in the segment: 0 is next to the master";
-        slave.place = table.integer("position", 0..=LAST_PLACE.into(), hint).unwrap_or(next);
+        slave.place = table.integer(POSITION, 0..=LAST_PLACE.into()).unwrap_or(next);
         next = slave.place.saturating_add(1);
     }
 }
@@ -111,21 +158,20 @@ fn place<'a>(plan: &mut EthercatPlan, drives: &mut [Table<'a>], devices: &mut [T
 fn drive(table: &mut Table<'_>, machine: &mut Machine) -> KollmorgenDrive {
     let types = ["s300", "s400", "s600", "s700"].map(|name| (name, Family::S700));
     let types: Vec<(&str, Family)> = types.into_iter().chain([("akd", Family::Akd)]).collect();
-    let family = table.word("type", &types).unwrap_or_default();
+    let family = table.word(TYPE, &types).unwrap_or_default();
     let mut drive = KollmorgenDrive::new("", 0, family);
     scaling(table, &mut drive.scaling);
-    set(&mut drive.check_prbase, table.flag("check_prbase"));
+    set(&mut drive.check_prbase, table.flag(CHECK_PRBASE));
     drive.axis = axis(table, machine, Counts::revolutions(drive.scaling.increments()));
     slave(table, &mut drive.slave);
     pdos(table, &mut drive);
     drive.mode = mode(table);
-    set(&mut drive.native, table.word("setpoints", &[("master", false), ("native", true)]));
-    set(&mut drive.accept_no_watchdog, accepts_no_watchdog(table));
-    let method = "the method of homing of object 6098h; leave it out for the drive's own";
-    drive.home_method = table.integer("home_method", -128..=127, method);
-    set(&mut drive.absolute, table.flag("absolute"));
+    set(&mut drive.native, table.word(SETPOINTS, &[("master", false), ("native", true)]));
+    set(&mut drive.accept_no_watchdog, accepts_no_watchdog(table, NO_DRIVE_WATCHDOG));
+    drive.home_method = table.integer(HOME_METHOD, -128..=127);
+    set(&mut drive.absolute, table.flag(ABSOLUTE));
     let wrong = format!("must be false, or up to {MONITOR_CHANNELS} objects like [\"torque\", \"0x6061:0\"]");
-    set(&mut drive.show, table.some_of("monitor", Form::Text(None), &wrong, object));
+    set(&mut drive.show, table.some_of(MONITOR, Form::Text(None), &wrong, object));
     table.later("simulate");
     drive
 }
@@ -134,23 +180,19 @@ fn drive(table: &mut Table<'_>, machine: &mut Machine) -> KollmorgenDrive {
 pub(super) fn slave(table: &mut Table<'_>, slave: &mut SlavePlan) {
     identity(table, &mut slave.identity);
     slave.mailbox = mailbox(table, slave.mailbox);
-    set(&mut slave.sync, table.flag("sync"));
-    set(&mut slave.check_sii, table.flag("check_sii"));
-    let hint = "the time that the slave may take to answer an SDO, from its description (ESI)";
-    set(&mut slave.sdo_timeout_ns, table.time("sdo_timeout", SDO_TIMEOUTS, hint));
-    let hint = "the time that the slave may take to enter a state, from its description (ESI)";
-    set(&mut slave.state_timeout_ns, table.time("state_timeout", STATE_TIMEOUTS, hint));
-    set(&mut slave.start_up, table.read("start_up", start_up_form(), start_up));
-    let hint = "the slave stops by itself after this time without outputs; or \"off\"";
-    let watchdog = table.time_or_off("watchdog", 100 * US..=WATCHDOG_MAX_NS, hint);
+    set(&mut slave.sync, table.flag(SYNC));
+    set(&mut slave.check_sii, table.flag(CHECK_SII));
+    set(&mut slave.sdo_timeout_ns, table.time(SDO_TIMEOUT, SDO_TIMEOUTS));
+    set(&mut slave.state_timeout_ns, table.time(STATE_TIMEOUT, STATE_TIMEOUTS));
+    set(&mut slave.start_up, table.read(START_UP, start_up_form(), start_up));
+    let watchdog = table.time_or_off(WATCHDOG, 100 * US..=WATCHDOG_MAX_NS);
     set(&mut slave.watchdog, watchdog.map(|ns| ns.map_or(Watchdog::Off, Watchdog::After)));
 }
 
 fn pdos(table: &mut Table<'_>, drive: &mut KollmorgenDrive) {
     let family = drive.family;
     table.table("pdo", |table| {
-        for (key, free, place) in
-            [("outputs", 0x1600, &mut drive.outputs), ("inputs", 0x1A00, &mut drive.inputs)]
+        for (key, free, place) in [(OUTPUTS, 0x1600, &mut drive.outputs), (INPUTS, 0x1A00, &mut drive.inputs)]
         {
             set(place, table.read(key, layout_form(), |value| layout(value, family, free)));
         }
@@ -160,10 +202,10 @@ fn pdos(table: &mut Table<'_>, drive: &mut KollmorgenDrive) {
     let is_free = [&drive.outputs, &drive.inputs].iter().all(|layout| layout.pdo & 0x0100 == 0);
     let usual = if is_free { Mapping::Free } else { Mapping::Fixed };
     let words = [("fixed", Mapping::Fixed), ("free", Mapping::Free), ("as-is", Mapping::AsIs)];
-    drive.mapping = table.word("mapping", &words).unwrap_or(usual);
+    drive.mapping = table.word(MAPPING, &words).unwrap_or(usual);
     table.table("buffers", |table| {
         let slave = &mut drive.slave;
-        for (key, area) in [("outputs", &mut slave.outputs), ("inputs", &mut slave.inputs)] {
+        for (key, area) in [(BUFFERS_OUTPUTS, &mut slave.outputs), (BUFFERS_INPUTS, &mut slave.inputs)] {
             let start = start(table, key);
             if let Some((area, start)) = area.first_mut().zip(start) {
                 area.start = start;
@@ -189,7 +231,7 @@ const MODES: [Mode; 9] = [
 fn mode(table: &mut Table<'_>) -> Option<Mode> {
     let names = MODES.map(|mode| mode.name().unwrap_or_default().replace(' ', "-"));
     let form = Form::integer(-128..=255).or(Form::words(names.iter().map(String::as_str)));
-    table.read("mode", form, |value| {
+    table.read(MODE, form, |value| {
         let bits =
             |number: i128| i8::try_from(number).or_else(|_| u8::try_from(number).map(|bits| bits as i8));
         let named = |text: &str| names.iter().zip(MODES).find(|(name, _)| *name == text);
@@ -202,12 +244,10 @@ fn mode(table: &mut Table<'_>) -> Option<Mode> {
 }
 
 fn scaling(table: &mut Table<'_>, scaling: &mut Scaling) {
-    let prbase = "the increments per turn as a power of two, PRBASE of the drive";
-    set(&mut scaling.prbase, table.integer("prbase", 1..=31, prbase));
-    let rpm = table.number("velocity_rpm_per_count", POSITIVE, "rpm of a count of the velocity setpoint");
+    set(&mut scaling.prbase, table.integer(PRBASE, 1..=31));
+    let rpm = table.number(VELOCITY_RPM_PER_COUNT, POSITIVE);
     set(&mut scaling.rpm_per_count, rpm);
-    let torque = "per mille of the rated torque or current";
-    let permille = table.number("torque_permille_per_count", POSITIVE, torque);
+    let permille = table.number(TORQUE_PERMILLE_PER_COUNT, POSITIVE);
     set(&mut scaling.permille_per_count, permille);
-    scaling.rated_current = table.number("rated_current", POSITIVE, "of the motor, A");
+    scaling.rated_current = table.number(RATED_CURRENT, POSITIVE);
 }

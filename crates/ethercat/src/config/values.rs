@@ -7,8 +7,29 @@ use crate::object::{Family, Objects, Target, catalogue, string};
 use crate::{Area, Expected, Start};
 use fieldbeat_core::axis::acyclic::Notation;
 use fieldbeat_keys::form::Form;
+use fieldbeat_keys::key::Key;
+use fieldbeat_keys::keys;
 use fieldbeat_keys::table::{Table, elements, integer, list, set};
 use fieldbeat_keys::value::unknown;
+
+keys! {
+    VENDOR "vendor" = "(`0x6A` of a drive, `\"any\"` of a device)": "required vendor number in the SII; "
+        "`\"any\"` accepts all";
+    PRODUCT "product" = "(that of the type of a drive, `\"any\"` of a device)":
+        "required product code in the SII; `\"any\"` accepts all";
+    REVISION "revision" = "any": "required revision in the SII; `\"any\"` accepts all";
+    SERIAL "serial" = "any": "required serial number in the SII of the slave; `\"any\"` accepts all. See "
+        "[below](#which-slave-it-is)";
+    ALIAS "alias" = "any": "required configured station alias (register 0012h, from its EEPROM), 0 ... "
+        "65535";
+    IDENTIFICATION "identification" = "any": "required answer to a request for its identification (AL "
+        "control bit 5, code in 0134h), 0 ... 65535: its selectors, or a number stored in it";
+    OUT "out" = "(`[0x1800, 16]`, of an AKD 1024 bytes; a device has none)":
+        "mailbox of the slave for requests: start address and length; a device without mailboxes has no "
+        "objects";
+    IN "in" = "(`[0x1C00, 16]`, of an AKD 1024 bytes; a device has none)":
+        "mailbox for answers: start address and length";
+}
 
 /// The most objects in a PDO: what its subindices count comfortably.
 const MOST_OBJECTS: usize = 32;
@@ -46,44 +67,38 @@ fn word(value: &DeValue<'_>) -> Option<u16> {
 pub(super) fn identity(table: &mut Table<'_>, of: &mut Expected) {
     const LONG: (i128, &str) = (u32::MAX as i128, "32 bits like 0x6A");
     const SHORT: (i128, &str) = (u16::MAX as i128, "16 bits");
-    set(&mut of.vendor, expected(table, "vendor", LONG));
-    set(&mut of.product, expected(table, "product", LONG));
-    set(&mut of.revision, expected(table, "revision", LONG));
-    set(&mut of.serial, expected(table, "serial", LONG));
-    set(&mut of.alias, expected(table, "alias", SHORT));
-    set(&mut of.identification, expected(table, "identification", SHORT));
+    set(&mut of.vendor, expected(table, VENDOR, LONG));
+    set(&mut of.product, expected(table, PRODUCT, LONG));
+    set(&mut of.revision, expected(table, REVISION, LONG));
+    set(&mut of.serial, expected(table, SERIAL, LONG));
+    set(&mut of.alias, expected(table, ALIAS, SHORT));
+    set(&mut of.identification, expected(table, IDENTIFICATION, SHORT));
 }
 
 /// A number up to `most` by which a slave is known, or any.
 fn expected<T: TryFrom<i128>>(
     table: &mut Table<'_>,
-    key: &'static str,
+    key: Key,
     (most, what): (i128, &str),
 ) -> Option<Option<T>> {
     table.read_or(key, number_form(most), "any", |value| {
         let number = number(value).and_then(|number| T::try_from(number).ok());
-        number.ok_or_else(|| format!("must be a number of {what}, or \"any\""))
+        number.ok_or_else(|| format!("must be a number of {what}"))
     })
 }
 
 /// `[start, bytes]`
 pub(super) fn mailbox(table: &mut Table<'_>, default: Option<[Area; 2]>) -> Option<[Area; 2]> {
-    if !table.gives("mailbox") {
-        table.sub_table("mailbox").finish();
-        return default;
-    }
-    table.table("mailbox", |table| {
+    let own = table.optional("mailbox", |table| {
         let [out, read] = default.unwrap_or_default();
-        if default.is_none() {
-            for key in ["out", "in"] {
-                table.require(key, "the place of that mailbox: [start, bytes], like [0x1800, 128]");
-            }
-        }
-        Some([area(table, "out").unwrap_or(out), area(table, "in").unwrap_or(read)])
-    })
+        // A device that has one has both.
+        let key = |key| if default.is_none() { Key { default: "-", ..key } } else { key };
+        Some([area(table, key(OUT)).unwrap_or(out), area(table, key(IN)).unwrap_or(read)])
+    });
+    own.or(default)
 }
 
-fn area(table: &mut Table<'_>, key: &'static str) -> Option<Area> {
+fn area(table: &mut Table<'_>, key: Key) -> Option<Area> {
     table.read(key, word_form().list(2, 2), |value| match list(value, 2..=2, word).as_deref() {
         Some(&[start, length]) if (16..=1486).contains(&length) => Ok(Area { start, length }),
         _ => Err("must be its start and its bytes, 16 ... 1486: [0x1800, 16]".into()),
@@ -91,7 +106,7 @@ fn area(table: &mut Table<'_>, key: &'static str) -> Option<Area> {
 }
 
 /// Where something begins.
-pub(super) fn start(table: &mut Table<'_>, key: &'static str) -> Option<u16> {
+pub(super) fn start(table: &mut Table<'_>, key: Key) -> Option<u16> {
     table.read(key, word_form(), |value| {
         word(value).ok_or("must be an address of 16 bits, like 0x1100".into())
     })

@@ -13,9 +13,22 @@ use crate::curve::{Curve, CurveError, CurveKind, Dimension};
 use fieldbeat_keys::error::ConfigErrors;
 use fieldbeat_keys::file::{self, whole_file};
 use fieldbeat_keys::form::Form;
+use fieldbeat_keys::key::Key;
+use fieldbeat_keys::keys;
 use fieldbeat_keys::page::{Page, Place};
 use fieldbeat_keys::table::{Table, integer, list, number};
 use fieldbeat_keys::value;
+
+keys! {
+    KIND "kind" = "-": "`\"time\"`, or `\"cam\"` over the counts of an encoder";
+    ID "id" = "-": "number of the curve, 1 ... 100";
+    WIZARD "wizard" = "0": "how the vendor's tool made the curve";
+    LENGTH "length" = "-": "from the first setpoint to the last: ms in steps of 0.01, or counts of a cam";
+    WIZARD_PARAMETERS "wizard_parameters" = "(zeros)": "7 numbers of that tool";
+    X_DIMENSION "x_dimension" = "(`26` for a time curve, `27` for a cam)":
+        "the drive's number for the unit of x: 26 time, 27 encoder, 5 position";
+    Y_DIMENSION "y_dimension" = "5": "the same for the setpoints";
+}
 
 /// The column of an axis, and the decimals of one wire count in its unit.
 type Column = (&'static str, u32);
@@ -67,12 +80,12 @@ pub fn to_text(curve: &Curve) -> Result<String, CurveError> {
     let length = value::decimal(curve.x_length.into(), x_decimals);
     let _ = writeln!(text, "# kind = \"{word}\"\n# length = {length}");
     for (key, number, usual) in [
-        ("x_dimension", curve.x_dimension.0, usual.0),
-        ("y_dimension", curve.y_dimension.0, Dimension::POSITION.0),
-        ("wizard", curve.wizard, 0),
+        (X_DIMENSION, curve.x_dimension.0, usual.0),
+        (Y_DIMENSION, curve.y_dimension.0, Dimension::POSITION.0),
+        (WIZARD, curve.wizard, 0),
     ] {
         if number != usual {
-            let _ = writeln!(text, "# {key} = {number}");
+            let _ = writeln!(text, "# {} = {number}", key.name);
         }
     }
     if curve.wizard_parameters != [0; 7] {
@@ -114,25 +127,22 @@ fn y_column(dimension: Dimension) -> Column {
 
 /// The whole file. What is wrong is noted on the page, and the curve is not handed out then.
 fn curve(page: &Page<'_>, mut head: Table<'_>, columns: (usize, &str), rows: &[(usize, &str)]) -> Curve {
-    head.require("id", "the number of the curve, 1 to 100");
-    head.require("kind", "\"time\" or \"cam\"");
-    head.require("length", "from the first setpoint to the last, in the unit of the first column");
     let hint = "at most 22 printable ASCII characters";
     let name = name::read(&mut head, hint, |name| Curve::name_bytes(name).ok());
-    let kind = head.word("kind", &[("time", CurveKind::Time), ("cam", CurveKind::Cam)]);
-    let x_dimension = dimension(&mut head, "x_dimension").or(kind.map(|kind| usual(kind).0));
-    let y_dimension = dimension(&mut head, "y_dimension").unwrap_or(Dimension::POSITION);
+    let kind = head.word(KIND, &[("time", CurveKind::Time), ("cam", CurveKind::Cam)]);
+    let x_dimension = dimension(&mut head, X_DIMENSION).or(kind.map(|kind| usual(kind).0));
+    let y_dimension = dimension(&mut head, Y_DIMENSION).unwrap_or(Dimension::POSITION);
     let (x_column, y_column) = (x_dimension.map(x_column), y_column(y_dimension));
     let x_length = length(&mut head, x_column.unwrap_or(("", 0)));
     let place = head.place("length");
     let mut curve = Curve {
-        id: head.integer("id", 1..=100, "curves have the ids 1 to 100").unwrap_or_default(),
+        id: head.integer(ID, 1..=100).unwrap_or_default(),
         kind: kind.unwrap_or(CurveKind::Time),
         name,
         x_length: x_length.unwrap_or_default(),
         x_dimension: x_dimension.unwrap_or(Dimension::TIME),
         y_dimension,
-        wizard: head.integer("wizard", 0..=0xFFFF, "a number of the vendor's tool").unwrap_or_default(),
+        wizard: head.integer(WIZARD, 0..=0xFFFF).unwrap_or_default(),
         wizard_parameters: wizard_parameters(&mut head).unwrap_or_default(),
         setpoints: Vec::new(),
     };
@@ -149,13 +159,13 @@ fn curve(page: &Page<'_>, mut head: Table<'_>, columns: (usize, &str), rows: &[(
     curve
 }
 
-fn dimension(head: &mut Table<'_>, key: &'static str) -> Option<Dimension> {
-    head.integer(key, 0..=0xFFFF, "5 is a position, 26 a time, 27 counts of an encoder").map(Dimension)
+fn dimension(head: &mut Table<'_>, key: Key) -> Option<Dimension> {
+    head.integer(key, 0..=0xFFFF).map(Dimension)
 }
 
 fn length(head: &mut Table<'_>, (_, decimals): Column) -> Option<u32> {
     let longest = value::decimal(u32::MAX.into(), decimals);
-    head.read("length", Form::number(0.0..), |value| {
+    head.read(LENGTH, Form::number(0.0..), |value| {
         number(value).and_then(|value| counts(value, decimals)).ok_or_else(|| {
             format!("must be a {}number, 0 to {longest}, in the unit of the first column", whole(decimals))
         })
@@ -163,7 +173,7 @@ fn length(head: &mut Table<'_>, (_, decimals): Column) -> Option<u32> {
 }
 
 fn wizard_parameters(head: &mut Table<'_>) -> Option<[u32; 7]> {
-    head.read("wizard_parameters", Form::integer(0..=u32::MAX.into()).list(7, 7), |value| {
+    head.read(WIZARD_PARAMETERS, Form::integer(0..=u32::MAX.into()).list(7, 7), |value| {
         let list = list(value, 7..=7, |number| u32::try_from(integer(number)?).ok());
         let wrong = "must be a list of 7 whole numbers, 0 to 4294967295";
         list.and_then(|list| list.try_into().ok()).ok_or(wrong.into())

@@ -2,7 +2,13 @@
 
 use std::fmt::Write;
 
+use fieldbeat_keys::keys;
 use fieldbeat_keys::table::Table;
+
+keys! {
+    NAME "name" = "none": "name in the drive";
+    NAME_BYTES "name_bytes" = "none": "the bytes of a `name` that is no such text";
+}
 
 /// What `name` or `name_bytes` says; `encoded`: the bytes of a text, if it is a name.
 pub(super) fn read<const N: usize>(
@@ -10,8 +16,8 @@ pub(super) fn read<const N: usize>(
     hint: &str,
     encoded: impl Fn(&str) -> Option<[u8; N]>,
 ) -> [u8; N] {
-    let name = table.text("name", None, hint, encoded);
-    let name_bytes = table.bytes("name_bytes");
+    let name = table.text(NAME, None, hint, encoded);
+    let name_bytes = table.bytes(NAME_BYTES);
     if table.gives("name") && table.gives("name_bytes") {
         table.fault("name_bytes", "cannot be used together with name; keep one");
     }

@@ -13,9 +13,26 @@ use crate::table::{self, Entry, PARAMETERS_SIZE, RESERVED_SIZE};
 use fieldbeat_keys::error::ConfigErrors;
 use fieldbeat_keys::file;
 use fieldbeat_keys::form::Form;
+use fieldbeat_keys::key::{Key, key};
+use fieldbeat_keys::keys;
 use fieldbeat_keys::page::{Page, Place};
 use fieldbeat_keys::table::{Table, integer, number};
 use fieldbeat_keys::value;
+
+keys! {
+    INCOMPLETE "incomplete" = "false": "`true`: entries may lead to entries that do not exist, as in some "
+        "drives";
+    ENTRY "entry" = "(`[]` for an empty table)": "the entries";
+    ID "id" = "-": "number of the entry, 1 ... 255";
+    COMMAND "command" = "-": "a name that `fieldbeat linmot commands` lists, like `\"vai-go-to\"`, or the "
+        "number of another command";
+    COUNT "count" = "0": "the lowest 4 bits of the header of the command";
+    RESERVED "reserved" = "(zeros)": "the last 10 bytes of the entry";
+    NEXT "next" = "none": "the entry that follows; without it the sequence ends here";
+    UNUSED "unused" = "none": "for a command by its name: the words behind its last field, if a drive has "
+        "other words than 0 there";
+    PARAMETERS "parameters" = "none": "for a command by its number: words of 16 bits";
+}
 
 /// Reads the command table at `path`.
 pub fn load(path: impl AsRef<Path>) -> Result<table::Table, ConfigErrors> {
@@ -60,11 +77,11 @@ fn write_entry(text: &mut String, id: EntryId, entry: &Entry) {
             for field in info.fields {
                 write_field(text, field, field.read(&entry.parameters));
             }
-            write_words(text, "unused", &entry.parameters[info.size()..]);
+            write_words(text, UNUSED.name, &entry.parameters[info.size()..]);
         }
         None => {
             let _ = writeln!(text, "command = 0x{:03X}", entry.header >> 4);
-            write_words(text, "parameters", &entry.parameters);
+            write_words(text, PARAMETERS.name, &entry.parameters);
         }
     }
     if entry.header & 0xF != 0 {
@@ -113,7 +130,7 @@ enum Command {
 }
 
 fn entries_of(mut root: Table<'_>) -> table::Table {
-    let incomplete = root.flag("incomplete").unwrap_or_default();
+    let incomplete = root.flag(INCOMPLETE).unwrap_or_default();
     let mut result = table::Table::new();
     let mut places: HashMap<EntryId, Place> = HashMap::new();
     let mut leads: HashMap<(EntryId, &str), Place> = HashMap::new();
@@ -121,11 +138,10 @@ fn entries_of(mut root: Table<'_>) -> table::Table {
         root.fault("entry", "missing; a command table has an [[entry]] for each entry, or is entry = []");
     }
     let empty = root
-        .read("entry", Form::Tables, |value| Ok(value.as_array().is_some_and(|entries| entries.is_empty())));
-    let tables = if empty == Some(true) { Vec::new() } else { root.tables("entry") };
+        .read(ENTRY, Form::Tables, |value| Ok(value.as_array().is_some_and(|entries| entries.is_empty())));
+    let tables = if empty == Some(true) { Vec::new() } else { root.tables(ENTRY) };
     for mut table in tables {
-        table.require("id", "the number of the entry, 1 to 255");
-        let id = table.integer("id", 1..=255, "ids are 1 to 255").and_then(|id| EntryId::new(id).ok());
+        let id = table.integer(ID, 1..=255).and_then(|id| EntryId::new(id).ok());
         if let Some(first) = id.and_then(|id| places.get(&id)) {
             table.fault("id", format!("is already the entry of {first}; ids are unique"));
         } else if let Some(id) = id {
@@ -155,8 +171,7 @@ fn entries_of(mut root: Table<'_>) -> table::Table {
 
 /// The command by its name or number. Without it nobody knows which other keys are right.
 fn command(table: &mut Table<'_>) -> Option<Command> {
-    table.require("command", "a name like \"vai-go-to\", or the number of a command without one");
-    table.read("command", Form::Text(None).or(Form::integer(0..=0xFFF)), |value| {
+    table.read(COMMAND, Form::Text(None).or(Form::integer(0..=0xFFF)), |value| {
         match (value.as_str(), integer(value)) {
             (Some(name), _) => CommandInfo::named(name).map(Command::Named).ok_or_else(|| {
                 let names = CATALOGUE.iter().map(|info| info.name);
@@ -173,11 +188,11 @@ fn command(table: &mut Table<'_>) -> Option<Command> {
 fn entry(table: &mut Table<'_>, command: Command, incomplete: bool) -> Option<Entry> {
     let hint = "at most 15 printable ASCII characters";
     let name = name::read(table, hint, |name| Entry::name_bytes(name).ok());
-    let count: u16 = table.integer("count", 0..=15, "the lowest 4 bits of the header").unwrap_or(0);
-    let reserved = table.bytes::<RESERVED_SIZE>("reserved").unwrap_or_default();
+    let count: u16 = table.integer(COUNT, 0..=15).unwrap_or(0);
+    let reserved = table.bytes::<RESERVED_SIZE>(RESERVED).unwrap_or_default();
     let next = match incomplete {
-        true => table.integer("next", 0..=0xFFFE, "what the drive holds"),
-        false => table.integer("next", 1..=255, "ids are 1 to 255"),
+        true => table.integer(NEXT, 0..=0xFFFE),
+        false => table.integer(NEXT, 1..=255),
     };
     let (mut parameters, mut whole) = ([0; PARAMETERS_SIZE], true);
     let id = match command {
@@ -188,11 +203,11 @@ fn entry(table: &mut Table<'_>, command: Command, incomplete: bool) -> Option<En
                     None => whole = false,
                 }
             }
-            words(table, "unused", &mut parameters[info.size()..]);
+            words(table, UNUSED, &mut parameters[info.size()..]);
             info.id
         }
         Command::Numbered(id) => {
-            words(table, "parameters", &mut parameters);
+            words(table, PARAMETERS, &mut parameters);
             id
         }
     };
@@ -206,9 +221,9 @@ fn field(table: &mut Table<'_>, field: &Field) -> Option<i64> {
     let [low, high] = [low, high].map(|bound| value::decimal(bound.into(), kind.decimals()));
     let range = format!("{low} to {high} {}", kind.unit());
     let range = range.trim_end();
-    table.require(field.name, &format!("a parameter of the command, {range}"));
+    let key = key(field.name, "-", "a parameter of the command");
     let form = if kind.decimals() == 0 { Form::integer(..) } else { Form::number(..) };
-    table.read(field.name, form, |value| match kind.decimals() {
+    table.read(key, form, |value| match kind.decimals() {
         0 => (integer(value).and_then(|value| i64::try_from(value).ok()))
             .filter(|value| kind.check(*value).is_ok())
             .ok_or_else(|| format!("must be a whole number, {range}")),
@@ -218,7 +233,7 @@ fn field(table: &mut Table<'_>, field: &Field) -> Option<i64> {
 }
 
 /// Words of 16 bits into `parameters`, zeros behind them.
-fn words(table: &mut Table<'_>, key: &'static str, parameters: &mut [u8]) {
+fn words(table: &mut Table<'_>, key: Key, parameters: &mut [u8]) {
     let words = table.integers(key, parameters.len() / 2, u16::MAX);
     for (place, word) in parameters.as_chunks_mut().0.iter_mut().zip(words) {
         *place = word.to_le_bytes();

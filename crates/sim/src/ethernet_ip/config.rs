@@ -9,7 +9,51 @@ use crate::keys::faults;
 use fieldbeat_core::time::{MS, S, US};
 use fieldbeat_ethernet_ip::plan::{EthernetIpPlan, MoonsDrive};
 use fieldbeat_keys::bus;
+use fieldbeat_keys::keys;
 use fieldbeat_keys::table::Table;
+
+keys! {
+    RUNNING "running" = "none": "starts jogging at this velocity, as if another master had died";
+    DRIFT_PPM "drift_ppm" = "0": "how much too slow the drive's clock is, -100000 ... 100000";
+    JITTER "jitter" = "0s": "each of its packets leaves up to so much late, at most half its interval";
+    MODEL "model" = "STF": "`\"SSDC\"` reports \"in position\", and takes the commands of step-servo drives";
+    VENDOR "vendor" = "(as of the drive, else `60`)": "vendor number that it reports";
+    PRODUCT "product" = "(as of the drive, else `1`)": "product code that it reports";
+    SERIAL "serial" = "(as of the drive, else made of the address)": "serial number that it reports";
+    INACTIVITY "inactivity" = "120s": "a silent TCP connection ends after so many seconds; `\"0s\"`: never";
+    SESSIONS "sessions" = "6": "largest number of sessions, 1 ... 8";
+    CONFIGURATION "configuration" = "accepted": "data of the configuration assembly in an open: "
+        "`\"accepted\"`, `\"required\"` (the two bytes) or `\"refused\"`";
+    HEARTBEAT "heartbeat" = "2": "connection size that it wants of a connection without outputs, 0 ... 6";
+    LEAST_RPI "least_rpi" = "1ms": "shortest interval that it can do";
+    SHORT_RPI "short_rpi" = "raised": "a shorter one is `\"raised\"` to it, or `\"refused\"`";
+    TICK "tick" = "1us": "intervals are rounded up to whole ticks";
+    OWNERSHIP "ownership" = "released": "after a time-out everybody may open; `\"kept\"`: only the "
+        "originator of before, until the drive is restarted";
+    MESSAGES_TIME_OUT "messages_time_out" = "true": "class 3 connections time out; `false`: they stay "
+        "until they are closed";
+    ZS "zs" = "500ms": "after so long without traffic it stops by itself, up to 10 s; `\"0s\"`: never";
+    ZA "za" = "13": "what it then does, as the drive's ZA: 1 ... 12 that segment, 13 and 14 stop, 15 and "
+        "16 stop and switch off";
+    EDGES "edges" = "stops": "command words that change without a 0 between: only stops act, none "
+        "(`\"strict\"`), or `\"any\"`";
+    IDLE "idle" = "ignored": "packets of an idle owner are ignored, or the motor `\"stops\"`";
+    HEARTBEATS_FEED "heartbeats_feed" = "false": "packets without outputs feed ZS, too";
+    LOST_OWNER_STOPS "lost_owner_stops" = "false": "the motor stops when the connection of its owner times "
+        "out, not only by ZS";
+    MOVING_WHILE_JOGGING "moving_while_jogging" = "false": "the status while jogging has \"moving\", too";
+    HOMING_ZEROES "homing_zeroes" = "false": "homing ends with position 0";
+    BUFFER "buffer" = "15": "moves that wait behind a running one, up to 255; a further one is not taken";
+    ALARM "alarm" = "0": "bits of an alarm whose cause does not go away";
+    IGNORES_STOPS "ignores_stops" = "false": "once enabled, it takes neither a stop nor \"disable\" of its "
+        "master: a faulty firmware";
+    RANGE "range" = "none": "between the limit switches, user units: `[-1, 50]`";
+    HOME "home" = "(half way along `homing.distance`)": "where the home switch acts, user units: `[10, "
+        "10.1]`";
+    START "start" = "0": "where the motor stands at first, user units";
+    INERTIA "inertia" = "0.0002": "inertia of all rotating parts, kg m²";
+    FRICTION "friction" = "0.1": "friction without power, N m";
+}
 
 /// Reads the simulated drives of a `[[bus]]` that is read otherwise.
 pub fn read(table: &mut Table<'_>, plan: &EthernetIpPlan, period_ns: u64) -> MoonsDrives {
@@ -22,7 +66,7 @@ fn settings(table: &mut Table<'_>, drive: &MoonsDrive, period_ns: u64, index: us
     let default = MoonsSettings::of(drive);
     let rpi_ns = drive.rpi_ns(period_ns);
     let per_unit = drive.axis.units.counts_per_unit;
-    let running = table.number("running", .., "a velocity, units/s").map(|velocity| velocity * per_unit);
+    let running = table.number(RUNNING, ..).map(|velocity| velocity * per_unit);
     let mut settings = MoonsSettings {
         // Its stream and its datagrams have the same ones.
         faults: faults(table, Carrier::Stream, rpi_ns, index),
@@ -34,27 +78,19 @@ fn settings(table: &mut Table<'_>, drive: &MoonsDrive, period_ns: u64, index: us
         ..default
     };
     let interval_ns = drive.input_rpi_ns(period_ns);
-    settings.clock.drift_ppm = table
-        .integer("drift_ppm", -100_000..=100_000, "how much too slow the drive's clock is, ppm")
-        .unwrap_or(0);
-    settings.clock.jitter_ns = table
-        .time(
-            "jitter",
-            ..=interval_ns / 2,
-            "how late a packet of the drive is at most, up to half its interval",
-        )
-        .unwrap_or(0);
+    settings.clock.drift_ppm = table.integer(DRIFT_PPM, -100_000..=100_000).unwrap_or(0);
+    settings.clock.jitter_ns = table.time(JITTER, ..=interval_ns / 2).unwrap_or(0);
     settings.clock.seed = settings.faults.seed;
     settings
 }
 
 fn identity(table: &mut Table<'_>, default: IdentitySettings) -> IdentitySettings {
-    let kind = table.word("model", &[("STF", Kind::Stepper), ("SSDC", Kind::StepServo)]);
+    let kind = table.word(MODEL, &[("STF", Kind::Stepper), ("SSDC", Kind::StepServo)]);
     let name = if kind == Some(Kind::StepServo) { "SSDC10-IP".into() } else { default.name };
     IdentitySettings {
-        vendor: table.integer("vendor", 0..=0xFFFF, "the number of its vendor").unwrap_or(default.vendor),
-        product: table.integer("product", 0..=0xFFFF, "its product code").unwrap_or(default.product),
-        serial: table.integer("serial", 0..=0xFFFF_FFFF, "its serial number").or(default.serial),
+        vendor: table.integer(VENDOR, 0..=0xFFFF).unwrap_or(default.vendor),
+        product: table.integer(PRODUCT, 0..=0xFFFF).unwrap_or(default.product),
+        serial: table.integer(SERIAL, 0..=0xFFFF_FFFF).or(default.serial),
         kind: kind.unwrap_or(default.kind),
         name,
         ..default
@@ -62,15 +98,13 @@ fn identity(table: &mut Table<'_>, default: IdentitySettings) -> IdentitySetting
 }
 
 fn network(table: &mut Table<'_>, default: NetworkSettings) -> NetworkSettings {
-    let inactivity = table.time("inactivity", ..=3_600 * S, "after how long a silent TCP connection ends");
+    let inactivity = table.time(INACTIVITY, ..=3_600 * S);
     NetworkSettings {
-        sessions: table
-            .integer("sessions", 1..=8, "the largest number of sessions at a time")
-            .unwrap_or(default.sessions),
+        sessions: table.integer(SESSIONS, 1..=8).unwrap_or(default.sessions),
         inactivity_s: inactivity.map_or(default.inactivity_s, |ns| (ns / S) as u16),
         configuration: table
             .word(
-                "configuration",
+                CONFIGURATION,
                 &[
                     ("accepted", Configuration::Accepted),
                     ("required", Configuration::Required),
@@ -78,46 +112,36 @@ fn network(table: &mut Table<'_>, default: NetworkSettings) -> NetworkSettings {
                 ],
             )
             .unwrap_or_default(),
-        heartbeat: table
-            .integer("heartbeat", 0..=6, "the connection size of heartbeats")
-            .unwrap_or(default.heartbeat),
-        least_rpi_ns: table
-            .time("least_rpi", US..=10 * S, "the shortest interval of packets")
-            .unwrap_or(default.least_rpi_ns),
+        heartbeat: table.integer(HEARTBEAT, 0..=6).unwrap_or(default.heartbeat),
+        least_rpi_ns: table.time(LEAST_RPI, US..=10 * S).unwrap_or(default.least_rpi_ns),
         short_rpi: table
-            .word("short_rpi", &[("raised", ShortRpi::Raised), ("refused", ShortRpi::Refused)])
+            .word(SHORT_RPI, &[("raised", ShortRpi::Raised), ("refused", ShortRpi::Refused)])
             .unwrap_or_default(),
-        tick_ns: table
-            .time("tick", US..=S, "intervals are rounded up to whole ticks")
-            .unwrap_or(default.tick_ns),
+        tick_ns: table.time(TICK, US..=S).unwrap_or(default.tick_ns),
         ownership: table
-            .word("ownership", &[("released", Ownership::Released), ("kept", Ownership::Kept)])
+            .word(OWNERSHIP, &[("released", Ownership::Released), ("kept", Ownership::Kept)])
             .unwrap_or_default(),
-        messages_time_out: table.flag("messages_time_out").unwrap_or(default.messages_time_out),
+        messages_time_out: table.flag(MESSAGES_TIME_OUT).unwrap_or(default.messages_time_out),
         ..default
     }
 }
 
 fn firmware(table: &mut Table<'_>, default: FirmwareSettings) -> FirmwareSettings {
-    let zs = table.time("zs", ..=10 * S, "after how long without traffic the drive stops, 0 s = never");
+    let zs = table.time(ZS, ..=10 * S);
     FirmwareSettings {
         zs_ms: zs.map_or(default.zs_ms, |ns| (ns / MS) as u16),
-        za: table.integer("za", 1..=16, "what the drive does then").unwrap_or(default.za),
+        za: table.integer(ZA, 1..=16).unwrap_or(default.za),
         edges: table
-            .word("edges", &[("stops", Edges::Stops), ("strict", Edges::Strict), ("any", Edges::Any)])
+            .word(EDGES, &[("stops", Edges::Stops), ("strict", Edges::Strict), ("any", Edges::Any)])
             .unwrap_or_default(),
-        idle: table.word("idle", &[("ignored", Idle::Ignored), ("stops", Idle::Stops)]).unwrap_or_default(),
-        heartbeats_feed: table.flag("heartbeats_feed").unwrap_or(default.heartbeats_feed),
-        lost_owner_stops: table.flag("lost_owner_stops").unwrap_or(default.lost_owner_stops),
-        moving_while_jogging: table.flag("moving_while_jogging").unwrap_or(default.moving_while_jogging),
-        homing_zeroes: table.flag("homing_zeroes").unwrap_or(default.homing_zeroes),
-        buffer: table
-            .integer("buffer", 0..=255, "the moves that wait behind a running one")
-            .unwrap_or(default.buffer),
-        persistent_alarm: table
-            .integer("alarm", 0..=0xFFFF, "the bits of an alarm that cannot be reset")
-            .unwrap_or(default.persistent_alarm),
-        ignores_stops: table.flag("ignores_stops").unwrap_or(default.ignores_stops),
+        idle: table.word(IDLE, &[("ignored", Idle::Ignored), ("stops", Idle::Stops)]).unwrap_or_default(),
+        heartbeats_feed: table.flag(HEARTBEATS_FEED).unwrap_or(default.heartbeats_feed),
+        lost_owner_stops: table.flag(LOST_OWNER_STOPS).unwrap_or(default.lost_owner_stops),
+        moving_while_jogging: table.flag(MOVING_WHILE_JOGGING).unwrap_or(default.moving_while_jogging),
+        homing_zeroes: table.flag(HOMING_ZEROES).unwrap_or(default.homing_zeroes),
+        buffer: table.integer(BUFFER, 0..=255).unwrap_or(default.buffer),
+        persistent_alarm: table.integer(ALARM, 0..=0xFFFF).unwrap_or(default.persistent_alarm),
+        ignores_stops: table.flag(IGNORES_STOPS).unwrap_or(default.ignores_stops),
         ..default
     }
 }
@@ -128,15 +152,13 @@ fn motor(table: &mut Table<'_>, drive: &MoonsDrive, default: MoonsMotorSettings)
         let steps = ((position - units.offset) * units.counts_per_unit).round();
         steps.clamp(f64::from(i32::MIN), f64::from(i32::MAX)) as i32
     };
-    let limits = table.interval("range", "between the limit switches, in user units").map(|(low, high)| {
+    let limits = table.interval(RANGE).map(|(low, high)| {
         let (low, high) = (steps(low), steps(high));
         (low.min(high), low.max(high))
     });
-    let home = table.interval("home", "where the home switch acts, in user units");
+    let home = table.interval(HOME);
     MoonsMotorSettings {
-        start: table
-            .number("start", .., "where the motor stands at first, in user units")
-            .map_or(default.start, steps),
+        start: table.number(START, ..).map_or(default.start, steps),
         limits: limits.or(default.limits),
         home: match (home, default.home) {
             (Some((low, high)), found) => {
@@ -145,12 +167,8 @@ fn motor(table: &mut Table<'_>, drive: &MoonsDrive, default: MoonsMotorSettings)
             }
             (None, found) => found,
         },
-        inertia_kgm2: table
-            .number("inertia", 1e-9..=1e6, "the inertia of all rotating parts, kg m²")
-            .unwrap_or(default.inertia_kgm2),
-        friction_nm: table
-            .number("friction", 0.0..=100_000.0, "the friction without power, N m")
-            .unwrap_or(default.friction_nm),
+        inertia_kgm2: table.number(INERTIA, 1e-9..=1e6).unwrap_or(default.inertia_kgm2),
+        friction_nm: table.number(FRICTION, 0.0..=100_000.0).unwrap_or(default.friction_nm),
         ..default
     }
 }

@@ -7,8 +7,38 @@ use fieldbeat_core::axis::Units;
 use fieldbeat_core::time::S;
 use fieldbeat_keys::bus;
 use fieldbeat_keys::form::Form;
+use fieldbeat_keys::keys;
 use fieldbeat_keys::table::{Table, integer};
 use fieldbeat_linudp::{LinUdpDrive, LinUdpPlan};
+
+keys! {
+    RANGE "range" = "(`limits.position` and 5 units more, else 1000 units both ways; a `modulo` axis turns without end, and its 32-bit position count wraps around)":
+        "mechanical range `[lowest, highest]`";
+    SERIAL "serial" = "(as of the drive, else `0`)": "the number in its parameter `serial_from`";
+    PADDING "padding" = "14": "shortest payload in bytes: `0`, `14` or `64`";
+    MASS "mass" = "1": "moving mass, kg";
+    STREAM_PERIOD "stream_period" = "(one period of the drive)": "the period that is set in the drive for "
+        "the configured streaming commands";
+    STREAM_PATIENCE "stream_patience" = "2.5": "periods without a setpoint before a stream ends in error "
+        "0083h";
+    STREAM_DEPTH "stream_depth" = "8": "setpoints that a stream holds; one more ends it in error 0082h";
+    STATUS_LAG "status_lag" = "0us": "age of the control word that the status word reports";
+    FORCE_ENABLE_BITS "force_enable_bits" = "false": "bits 1-5 of the control word are forced to 1";
+    RUNNING "running" = "false": "starts enabled and moving, as if another master had died";
+    CONFIG_TIME "config_time" = "0us": "time for a command on the parameter channel; the drive answers "
+        "\"busy\" meanwhile";
+    FLASH_TIME "flash_time" = "500ms": "time for a save to flash, a single parameter takes a 500th of it; "
+        "real drives took 39 ... 75 s";
+    FLASH "flash" = "silent": "what the drive does during a save: `\"silent\"` answers nothing, `\"mute\"` "
+        "does not report the result afterwards either, `\"busy\"` answers that it is busy";
+    UNKNOWN_COMMANDS "unknown_commands" = "refuse": "a motion command that the simulation does not "
+        "support: error 0081h, or `\"ignore\"`";
+    EXTEND_SIGN "extend_sign" = "false": "values of less than 32 bits carry their sign in the bits above";
+    FILTER "filter" = "\"none\"": "which masters the drive answers: all (`\"none\"`), a `\"single\"` one, "
+        "or the one with this address";
+    HOME "home" = "(`0`, or the low end of the range)": "position of the home switch";
+    START "start" = "(the middle of the range)": "position at power-on";
+}
 
 /// Reads the simulated drives of a `[[bus]]` that is read otherwise.
 pub fn read(table: &mut Table<'_>, plan: &LinUdpPlan, period_ns: u64) -> LinMots {
@@ -21,7 +51,7 @@ fn settings(table: &mut Table<'_>, drive: &LinUdpDrive, period_ns: u64, index: u
     let axis = &drive.axis;
     let period_ns = period_ns.saturating_mul(u64::from(axis.divisor));
     let counts = |position: f64| counts(&axis.units, position);
-    let range = table.interval("range", "mechanical, in user units");
+    let range = table.interval(RANGE);
     let endless = range.is_none() && axis.units.modulo.is_some();
     let (low, high) = range.unwrap_or({
         match axis.limits.position {
@@ -29,20 +59,18 @@ fn settings(table: &mut Table<'_>, drive: &LinUdpDrive, period_ns: u64, index: u
             None => (-1000.0, 1000.0),
         }
     });
-    let inside = |table: &mut Table<'_>, key| {
-        table.number(key, low..=high, "inside the range of the simulated axis, in user units")
-    };
-    let home = inside(table, "home").unwrap_or(if low <= 0.0 && high >= 0.0 { 0.0 } else { low });
-    let start = inside(table, "start").unwrap_or((low + high) / 2.0);
+    let inside = |table: &mut Table<'_>, key| table.number(key, low..=high);
+    let home = inside(table, HOME).unwrap_or(if low <= 0.0 && high >= 0.0 { 0.0 } else { low });
+    let start = inside(table, START).unwrap_or((low + high) / 2.0);
     let ends = if endless { LinMotSettings::ENDLESS } else { (counts(low), counts(high)) };
     let default = LinMotSettings::of(drive);
-    let serial = table.integer("serial", 0..=u32::MAX.into(), "the number in its parameter serial_from");
+    let serial = table.integer(SERIAL, 0..=u32::MAX.into());
     LinMotSettings {
         address: drive.address,
         serial: drive.serial.map(|own| (own.from.0, serial.or(own.number).unwrap_or_default())),
         faults: faults(table, Carrier::Datagrams, period_ns, index),
         padding: table
-            .read("padding", Form::numbers([0, 14, 64]), |value| {
+            .read(PADDING, Form::numbers([0, 14, 64]), |value| {
                 let padding = integer(value).and_then(|padding| usize::try_from(padding).ok());
                 padding
                     .filter(|padding| [0, 14, 64].contains(padding))
@@ -52,41 +80,29 @@ fn settings(table: &mut Table<'_>, drive: &LinUdpDrive, period_ns: u64, index: u
         filter: filter(table).unwrap_or_default(),
         start_position: counts(start),
         range: (ends.0.min(ends.1), ends.0.max(ends.1)),
-        mass_kg: table.number("mass", 0.001..=10_000.0, "moving mass in kg").unwrap_or(default.mass_kg),
+        mass_kg: table.number(MASS, 0.001..=10_000.0).unwrap_or(default.mass_kg),
         home_position: counts(home),
-        stream_period_ns: table
-            .time("stream_period", 100_000..=S, "the period set in the drive for the configured commands")
-            .unwrap_or(period_ns),
-        stream_patience: table
-            .number("stream_patience", 1.0..=1_000.0, "periods without a setpoint before error 0083h")
-            .unwrap_or(default.stream_patience),
-        stream_depth: table
-            .integer("stream_depth", 1..=10_000, "setpoints that a stream holds ahead of its output")
-            .unwrap_or(default.stream_depth),
-        status_lag_ns: table
-            .time("status_lag", ..=S, "how old the control word is that the status word reports")
-            .unwrap_or(default.status_lag_ns),
-        force_enable_bits: table.flag("force_enable_bits").unwrap_or(false),
-        start_running: table.flag("running").unwrap_or(false),
-        config_time_ns: table
-            .time("config_time", ..=60 * S, "how long a command on the parameter channel takes")
-            .unwrap_or(default.config_time_ns),
-        flash_time_ns: table
-            .time("flash_time", ..=600 * S, "how long a save into flash takes; real drives took 39s ... 75s")
-            .unwrap_or(default.flash_time_ns),
+        stream_period_ns: table.time(STREAM_PERIOD, 100_000..=S).unwrap_or(period_ns),
+        stream_patience: table.number(STREAM_PATIENCE, 1.0..=1_000.0).unwrap_or(default.stream_patience),
+        stream_depth: table.integer(STREAM_DEPTH, 1..=10_000).unwrap_or(default.stream_depth),
+        status_lag_ns: table.time(STATUS_LAG, ..=S).unwrap_or(default.status_lag_ns),
+        force_enable_bits: table.flag(FORCE_ENABLE_BITS).unwrap_or(false),
+        start_running: table.flag(RUNNING).unwrap_or(false),
+        config_time_ns: table.time(CONFIG_TIME, ..=60 * S).unwrap_or(default.config_time_ns),
+        flash_time_ns: table.time(FLASH_TIME, ..=600 * S).unwrap_or(default.flash_time_ns),
         flash: table
             .word(
-                "flash",
+                FLASH,
                 &[("silent", FlashMode::Silent), ("mute", FlashMode::Mute), ("busy", FlashMode::Busy)],
             )
             .unwrap_or_default(),
         unknown_commands: table
             .word(
-                "unknown_commands",
+                UNKNOWN_COMMANDS,
                 &[("refuse", UnknownCommands::Refuse), ("ignore", UnknownCommands::Ignore)],
             )
             .unwrap_or_default(),
-        extend_sign: table.flag("extend_sign").unwrap_or(false),
+        extend_sign: table.flag(EXTEND_SIGN).unwrap_or(false),
     }
 }
 
@@ -98,7 +114,7 @@ fn counts(units: &Units, position: f64) -> i32 {
 
 fn filter(table: &mut Table<'_>) -> Option<MasterFilter> {
     table.text(
-        "filter",
+        FILTER,
         None,
         "\"none\", \"single\" or the one master's address, like \"192.168.1.1\"",
         |text| match text {

@@ -8,9 +8,47 @@ use crate::keys::faults;
 use crate::{Carrier, FaultPlan, SimBus};
 use fieldbeat_core::time::{MS, S};
 use fieldbeat_keys::bus;
+use fieldbeat_keys::keys;
 use fieldbeat_keys::table::Table;
 use fieldbeat_keys::value::SOMETHING;
 use fieldbeat_profibus::{DATA_MAX, LenzeDrive, ProfibusPlan};
+
+keys! {
+    PORT "port" = "none": "serial port at the other end of the cable, where `device` is a real one";
+    LOST_BYTE "lost_byte" = "0": "rate of telegrams that lose a byte";
+    NOISE_EVERY "noise_every" = "none": "mean time between two bursts of noise";
+    SECOND_MASTER "second_master" = "none": "address of another master on the wire";
+    SECOND_MASTER_EVERY "second_master_every" = "10ms": "how often it sends its token";
+    SECOND_MASTER_AFTER "second_master_after" = "0us": "when it appears";
+    SECOND_MASTER_LISTENS "second_master_listens" = "false": "it keeps to the rules: claims a silent wire, "
+        "answers a search, gives way";
+    CONFIGURATION "configuration" = "(as the drive's)": "identifier bytes that it wants, and reads out by "
+        "Get_Cfg";
+    RUNNING "running" = "none": "starts enabled at this velocity, as if another master had died";
+    IDENT "ident" = "(as the drive's)": "ident number";
+    ANSWER_BITS "answer_bits" = "(`min_tsdr`)": "time before an answer, bits";
+    SD3 "sd3" = "false": "sends 8 bytes of data as SD3";
+    REPLIES "replies" = "lengths": "replies in the DRIVECOM channel: `\"lengths\"` with length bits, "
+        "`\"bare\"` with neither length nor service";
+    JOB_TIME "job_time" = "2ms": "time that a parameter job takes in the channel";
+    BRAKES_ON_FAULT "brakes_on_fault" = "false": "brakes before a fault takes its power";
+    IGNORES_STOPS "ignores_stops" = "false": "once enabled, no control word takes it out of operation: a "
+        "faulty firmware. It follows its set point";
+    FAULT "fault" = "none": "code of a fault that cannot be reset";
+    USER_PRM_LENGTH "user_prm_length" = "(any)": "length of the User_Prm that it takes";
+    DPV1 "dpv1" = "true": "knows DP-V1";
+    SYNC_FREEZE "sync_freeze" = "false": "knows Sync and Freeze";
+    NEEDS_OPERATE "needs_operate" = "true": "outputs count only behind a Global_Control with Operate";
+    READY_AFTER "ready_after" = "1ms": "time from a configuration until it is ready";
+    SHOWS_LOCK "shows_lock" = "true": "its diagnosis shows another master that it is locked";
+    SAFE "safe" = "inhibit": "what it does without valid outputs: `\"inhibit\"`, `\"quick stop\"` or "
+        "`\"fault\"`";
+    ACYCLIC_DELAY "acyclic_delay" = "1": "polls before an acyclic answer";
+    ACYCLIC_TIME "acyclic_time" = "5ms": "time that a parameter request takes";
+    INERTIA "inertia" = "0.005": "inertia of all rotating parts, kg m²";
+    FRICTION "friction" = "0.5": "friction without power, N m";
+    TEMPERATURE "temperature" = "43": "temperature of the heat sink, °C";
+}
 
 /// Reads the simulated wire of a `[[bus]]` that is read otherwise.
 pub fn read(table: &mut Table<'_>, plan: &ProfibusPlan, period_ns: u64) -> ProfibusSegment {
@@ -19,17 +57,17 @@ pub fn read(table: &mut Table<'_>, plan: &ProfibusPlan, period_ns: u64) -> Profi
         last_master: plan.address,
         ..settings(table, drive)
     });
-    let segment = table.table("simulate", |table| ProfibusSegment {
-        own_port: table.text("port", SOMETHING, "a serial port, like \"/dev/ttyUSB1\"", |text| {
+    let segment = bus::simulated_wire(table, |table| ProfibusSegment {
+        own_port: table.text(PORT, SOMETHING, "a serial port, like \"/dev/ttyUSB1\"", |text| {
             (!text.is_empty()).then(|| text.to_owned())
         }),
         faults: FaultPlan {
-            lost_byte: table.number("lost_byte", 0.0..=1.0, "a probability for each telegram").unwrap_or(0.0),
+            lost_byte: table.number(LOST_BYTE, 0.0..=1.0).unwrap_or(0.0),
             ..faults(table, Carrier::Datagrams, period_ns, 0)
         },
         foreign: foreign(table),
         noise: table
-            .time("noise_every", MS..=600 * S, "the mean time between bursts of noise")
+            .time(NOISE_EVERY, MS..=600 * S)
             .map(|every_ns| NoiseSettings { every_ns, ..NoiseSettings::default() }),
         drives,
         ..default
@@ -43,11 +81,10 @@ pub fn read(table: &mut Table<'_>, plan: &ProfibusPlan, period_ns: u64) -> Profi
 
 /// Another master, if it has an address.
 fn foreign(table: &mut Table<'_>) -> Option<ForeignSettings> {
-    let address = table.integer("second_master", 0..=126, "the address of another master on the wire");
-    let every = "how often the other master sends its token";
-    let every_ns = table.time("second_master_every", MS..=600 * S, every);
-    let after_ns = table.time("second_master_after", ..=600 * S, "when the other master appears");
-    let listens = table.flag("second_master_listens").unwrap_or(false);
+    let address = table.integer(SECOND_MASTER, 0..=126);
+    let every_ns = table.time(SECOND_MASTER_EVERY, MS..=600 * S);
+    let after_ns = table.time(SECOND_MASTER_AFTER, ..=600 * S);
+    let listens = table.flag(SECOND_MASTER_LISTENS).unwrap_or(false);
     let address = address?;
     let default = match listens {
         true => ForeignSettings::listening(address),
@@ -62,7 +99,7 @@ fn foreign(table: &mut Table<'_>) -> Option<ForeignSettings> {
 
 fn settings(table: &mut Table<'_>, drive: &LenzeDrive) -> LenzeSettings {
     // It has the process data that its own configuration makes.
-    let wanted = table.integers("configuration", DATA_MAX, u16::from(u8::MAX));
+    let wanted = table.integers(CONFIGURATION, DATA_MAX, u16::from(u8::MAX));
     let wanted: Vec<u8> = wanted.into_iter().map(|byte| byte as u8).collect();
     let default = match table.gives("configuration") {
         true => LenzeSettings::of(&LenzeDrive { configuration: wanted, ..drive.clone() }),
@@ -71,27 +108,25 @@ fn settings(table: &mut Table<'_>, drive: &LenzeDrive) -> LenzeSettings {
     let full = drive.scale.full_rpm;
     let per_unit = drive.axis.units.counts_per_unit * 60.0;
     let most = (full / per_unit).abs();
-    let running = table.number("running", -most..=most, "a velocity up to the full speed, units/s");
+    let running = table.number(RUNNING, -most..=most);
     LenzeSettings {
-        ident: table.integer("ident", 0..=0xFFFF, "the ident number of the module").unwrap_or(default.ident),
+        ident: table.integer(IDENT, 0..=0xFFFF).unwrap_or(default.ident),
         link: LinkSettings {
-            answer_bits: table.integer("answer_bits", 11..=65_535, "the time before an answer, bits"),
-            sd3: table.flag("sd3").unwrap_or(default.link.sd3),
+            answer_bits: table.integer(ANSWER_BITS, 11..=65_535),
+            sd3: table.flag(SD3).unwrap_or(default.link.sd3),
             ..default.link
         },
         dp: dp(table, default.dp),
         channel: table
-            .word("replies", &[("lengths", Channel::Drivecom), ("bare", Channel::DrivecomBare)])
+            .word(REPLIES, &[("lengths", Channel::Drivecom), ("bare", Channel::DrivecomBare)])
             .filter(|_| default.channel == Channel::Drivecom)
             .unwrap_or(default.channel),
         acyclic: acyclic(table, default.acyclic),
-        job_ns: table
-            .time("job_time", ..=10 * S, "how long a parameter job takes in the channel")
-            .unwrap_or(default.job_ns),
+        job_ns: table.time(JOB_TIME, ..=10 * S).unwrap_or(default.job_ns),
         power: PowerSettings {
-            brakes_on_fault: table.flag("brakes_on_fault").unwrap_or(default.power.brakes_on_fault),
-            ignores_stops: table.flag("ignores_stops").unwrap_or(default.power.ignores_stops),
-            persistent_fault: table.integer("fault", 1..=0xFFFF, "the code of a fault that cannot be reset"),
+            brakes_on_fault: table.flag(BRAKES_ON_FAULT).unwrap_or(default.power.brakes_on_fault),
+            ignores_stops: table.flag(IGNORES_STOPS).unwrap_or(default.power.ignores_stops),
+            persistent_fault: table.integer(FAULT, 1..=0xFFFF),
             ..default.power
         },
         motor: motor(table, default.motor),
@@ -101,19 +136,17 @@ fn settings(table: &mut Table<'_>, drive: &LenzeDrive) -> LenzeSettings {
 }
 
 fn dp(table: &mut Table<'_>, default: DpSettings) -> DpSettings {
-    let length = table.integer("user_prm_length", 0..=237, "the length of the User_Prm that the drive takes");
+    let length = table.integer(USER_PRM_LENGTH, 0..=237);
     DpSettings {
         user_prm: length.map_or(default.user_prm, UserPrm::Length),
-        dpv1: table.flag("dpv1").unwrap_or(default.dpv1),
-        sync_freeze: table.flag("sync_freeze").unwrap_or(default.sync_freeze),
-        needs_operate: table.flag("needs_operate").unwrap_or(default.needs_operate),
-        ready_ns: table
-            .time("ready_after", ..=600 * S, "from the configuration until the drive is ready")
-            .unwrap_or(default.ready_ns),
-        shows_lock: table.flag("shows_lock").unwrap_or(default.shows_lock),
+        dpv1: table.flag(DPV1).unwrap_or(default.dpv1),
+        sync_freeze: table.flag(SYNC_FREEZE).unwrap_or(default.sync_freeze),
+        needs_operate: table.flag(NEEDS_OPERATE).unwrap_or(default.needs_operate),
+        ready_ns: table.time(READY_AFTER, ..=600 * S).unwrap_or(default.ready_ns),
+        shows_lock: table.flag(SHOWS_LOCK).unwrap_or(default.shows_lock),
         safe: table
             .word(
-                "safe",
+                SAFE,
                 &[("inhibit", Safe::Inhibit), ("quick stop", Safe::QuickStop), ("fault", Safe::Fault)],
             )
             .unwrap_or(default.safe),
@@ -122,34 +155,19 @@ fn dp(table: &mut Table<'_>, default: DpSettings) -> DpSettings {
 
 fn acyclic(table: &mut Table<'_>, default: AcyclicSettings) -> AcyclicSettings {
     AcyclicSettings {
-        delay: table
-            .integer("acyclic_delay", 0..=1_000, "the polls before an acyclic answer")
-            .unwrap_or(default.delay),
-        busy_ns: table
-            .time("acyclic_time", ..=60 * S, "how long a parameter request takes")
-            .unwrap_or(default.busy_ns),
+        delay: table.integer(ACYCLIC_DELAY, 0..=1_000).unwrap_or(default.delay),
+        busy_ns: table.time(ACYCLIC_TIME, ..=60 * S).unwrap_or(default.busy_ns),
         ..default
     }
 }
 
 fn motor(table: &mut Table<'_>, default: LenzeMotorSettings) -> LenzeMotorSettings {
-    let mut value = |key, range: std::ops::RangeInclusive<f64>, hint, default| {
-        table.number(key, range, hint).unwrap_or(default)
-    };
+    let mut value =
+        |key, range: std::ops::RangeInclusive<f64>, default| table.number(key, range).unwrap_or(default);
     LenzeMotorSettings {
-        inertia_kgm2: value(
-            "inertia",
-            1e-9..=1e6,
-            "the inertia of all rotating parts, kg m²",
-            default.inertia_kgm2,
-        ),
-        friction_nm: value("friction", 0.0..=1e5, "the friction without power, N m", default.friction_nm),
-        temperature: value(
-            "temperature",
-            -50.0..=200.0,
-            "the heat sink temperature, °C",
-            default.temperature,
-        ),
+        inertia_kgm2: value(INERTIA, 1e-9..=1e6, default.inertia_kgm2),
+        friction_nm: value(FRICTION, 0.0..=1e5, default.friction_nm),
+        temperature: value(TEMPERATURE, -50.0..=200.0, default.temperature),
         ..default
     }
 }

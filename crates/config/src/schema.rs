@@ -1,37 +1,44 @@
 //! The JSON schema of a configuration, for editors that complete keys and flag mistakes while somebody types.
 //!
-//! It is made from what the reader states while it reads (`keys::form`): each key and what it takes. The sentences and
-//! the defaults are those of the reference in docs/. What a schema cannot express is left to `fieldbeat check`: ranges
-//! of times, and what depends on other keys.
-
-mod reference;
+//! It is made from what the reader states while it reads: each key with its declaration, and what it takes. What a schema
+//! cannot express is left to `fieldbeat check`: ranges of times, and what depends on other keys.
 
 use std::cell::RefCell;
 use std::ops::Bound;
 
 use serde_json::{Map, Value, json};
+use toml::de::{DeTable, DeValue};
 
-use self::reference::Reference;
 use crate::PROTOCOLS;
 use fieldbeat_keys::Protocol;
-use fieldbeat_keys::form::{Form, Key, Range, Record};
+use fieldbeat_keys::form::{Form, Noted, Range, Record};
 use fieldbeat_keys::page::Page;
-use fieldbeat_keys::table::Table;
+use fieldbeat_keys::table::{Table, integer, number};
 use fieldbeat_keys::value::TIME;
 
 /// What stands around the bus of a protocol while its keys are recorded. Ranges that depend on other keys differ
 /// between the two.
 const SURROUNDINGS: [(&str, &str); 2] = [
-    ("[cycle]\nperiod = \"1ms\"\n", ""),
     (
-        "[cycle]\nperiod = \"2ms\"\n",
-        "[bus.defaults]\nscale = 3.0\ninvert = true\noffset = 1.0\nlimits.position = [-7.0, 9.0]\ndivisor = \
-         3\n",
+        "[cycle]
+period = \"1ms\"
+",
+        "",
+    ),
+    (
+        "[cycle]
+period = \"2ms\"
+",
+        "[bus.defaults]
+scale = 3.0
+invert = true
+offset = 1.0
+limits.position = [-7.0, 9.0]
+divisor = \
+         3
+",
     ),
 ];
-
-/// The lists of tables of a machine behind its buses: their keys are read only if they are there.
-const BEHIND: &str = "[[group]]\n[[soak.axis]]\n";
 
 /// The schema (draft 7, which taplo reads).
 pub fn schema() -> Value {
@@ -40,12 +47,11 @@ pub fn schema() -> Value {
         .iter()
         .zip(&records)
         .map(|(protocol, record)| {
-            let builder =
-                Builder { record, reference: Reference::of(protocol.reference), protocol: protocol.name };
+            let builder = Builder { record, protocol: protocol.name };
             (protocol.name.to_owned(), builder.object("bus"))
         })
         .collect();
-    let common = Builder { record: &records[0], reference: Reference::of(""), protocol: "" };
+    let common = Builder { record: &records[0], protocol: "" };
     let mut root = common.object("");
     root["properties"]["bus"] = buses();
     root["$schema"] = "http://json-schema.org/draft-07/schema#".into();
@@ -54,13 +60,15 @@ pub fn schema() -> Value {
     root
 }
 
-/// All keys that the reader of a protocol knows.
-fn record(protocol: &Protocol) -> Record {
+/// All keys that the reader of a protocol knows. What is absent is read all the same while it is recorded.
+pub(crate) fn record(protocol: &Protocol) -> Record {
     let record = RefCell::default();
     for (before, behind) in SURROUNDINGS {
         let text = format!(
-            "{before}[[bus]]\nprotocol = \"{}\"\n{}{behind}{BEHIND}",
-            protocol.name, protocol.specimen
+            "{before}[[bus]]
+protocol = \"{}\"
+{behind}",
+            protocol.name
         );
         let page = Page::new("", &text).recorded(&record);
         // It is TOML; what is wrong with its values keeps no key from being read.
@@ -81,14 +89,13 @@ fn buses() -> Value {
     });
     // Everything passes, and an editor that does not know `if` finds all keys.
     let any: Vec<Value> = std::iter::once(json!({})).chain(names.map(reference)).collect();
-    let row = Reference::of("").row("bus.protocol");
     json!({
         "type": "array",
         "minItems": 1,
         "items": {
             "type": "object",
             "properties": {
-                "protocol": { "enum": names, "description": row.map(|row| row.description()) },
+                "protocol": { "enum": names, "description": super::PROTOCOL.description() },
             },
             "required": ["protocol"],
             "allOf": of_protocol,
@@ -100,7 +107,6 @@ fn buses() -> Value {
 /// The schema of the tables of one record.
 struct Builder<'a> {
     record: &'a Record,
-    reference: Reference,
     protocol: &'static str,
 }
 
@@ -109,8 +115,9 @@ impl Builder<'_> {
     fn object(&self, path: &str) -> Value {
         let keys = self.record.keys(path);
         let properties: Map<String, Value> =
-            keys.iter().map(|key| (key.name.to_owned(), self.key(path, key))).collect();
-        let required: Vec<&str> = keys.iter().filter(|key| key.required).map(|key| key.name).collect();
+            keys.iter().map(|noted| (noted.key.name.to_owned(), self.key(path, noted))).collect();
+        let required: Vec<&str> =
+            keys.iter().filter(|noted| noted.required).map(|noted| noted.key.name).collect();
         let mut object = json!({ "type": "object", "properties": properties, "additionalProperties": false });
         if !required.is_empty() {
             object["required"] = required.into();
@@ -122,27 +129,27 @@ impl Builder<'_> {
     fn defaults(&self, of: &str) -> Value {
         let list = of.strip_prefix("bus.").unwrap_or(of);
         let at = format!("#/definitions/{}/properties/{list}/items/properties", self.protocol);
-        let shared = self.record.keys(of).iter().filter(|key| !key.own);
-        let properties: Map<String, Value> = shared
-            .map(|key| (key.name.to_owned(), json!({ "$ref": format!("{at}/{}", key.name) })))
-            .collect();
+        let shared = self.record.keys(of).iter().filter(|noted| !noted.own).map(|noted| noted.key.name);
+        let properties: Map<String, Value> =
+            shared.map(|name| (name.to_owned(), json!({ "$ref": format!("{at}/{name}") }))).collect();
         json!({ "type": "object", "properties": properties, "additionalProperties": false })
     }
 
-    fn key(&self, table: &str, key: &Key) -> Value {
+    fn key(&self, table: &str, noted: &Noted) -> Value {
+        let key = noted.key;
         let path = if table.is_empty() { key.name.to_owned() } else { format!("{table}.{}", key.name) };
         if path == "bus.protocol" {
             return json!({ "const": self.protocol });
         }
         let mut schema = match self.record.defaults_for(&path) {
             Some(of) => self.defaults(of),
-            None => self.any(&path, &key.forms),
+            None => self.any(&path, &noted.forms),
         };
-        if let Some(row) = self.reference.row(&path) {
-            schema["description"] = row.description().into();
-            if let Some(default) = row.default() {
-                schema["default"] = default;
-            }
+        if !key.means.is_empty() {
+            schema["description"] = key.description().into();
+        }
+        if let Some(default) = key.value().and_then(|text| literal(&text)) {
+            schema["default"] = default;
         }
         schema
     }
@@ -223,4 +230,25 @@ fn within(mut schema: Value, range: &Range) -> Value {
         Bound::Unbounded => {}
     }
     schema
+}
+
+/// A value as it stands in a file, as JSON.
+fn literal(text: &str) -> Option<Value> {
+    let text = format!("value = {text}");
+    let table = DeTable::parse(&text).ok()?;
+    table.get_ref().get("value").and_then(|value| json_of(value.get_ref()))
+}
+
+/// A value of TOML as JSON.
+fn json_of(value: &DeValue<'_>) -> Option<Value> {
+    Some(match value {
+        DeValue::String(text) => text.as_ref().into(),
+        DeValue::Boolean(flag) => (*flag).into(),
+        DeValue::Integer(_) => i64::try_from(integer(value)?).ok()?.into(),
+        DeValue::Float(_) => number(value)?.into(),
+        DeValue::Array(list) => {
+            list.iter().map(|value| json_of(value.get_ref())).collect::<Option<Vec<_>>>()?.into()
+        }
+        DeValue::Table(_) | DeValue::Datetime(_) => return None,
+    })
 }
