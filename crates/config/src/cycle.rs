@@ -22,6 +22,11 @@ keys! {
         "loop and keeps the core busy";
     MAX_SKIP_RATE "max_skip_rate" = "0.2": "with `\"skip\"`: a larger share of the last 100 slots skipped "
         "stops all axes; `1.0`: not watched";
+    MAX_LATE_SHARE "max_late_share" = "0.1": "largest share of cycles that began late (`late`) with which "
+        "a run is [carried](diagnosis.md#carried-or-not); `1.0` judges none";
+    MAX_SKIPPED_SHARE "max_skipped_share" = "0.01": "likewise the largest share of skipped slots";
+    MAX_UNANSWERED_SHARE "max_unanswered_share" = "0.01": "likewise the largest share of exchanges that a "
+        "drive did not answer while it was online";
     COST "cost" = "refuse": "a plan whose cycle [takes longer than its "
         "period](host.md#what-a-cycle-costs): `\"refuse\"`, `\"warn\"` starts it all the same, `\"off\"` "
         "estimates nothing";
@@ -51,11 +56,6 @@ keys! {
         "counts the slots that were missed, `\"stop\"` stops all axes";
     MAX_SKIP "max_skip" = "10": "with `\"skip\"`: more skipped slots in a row than this stop all axes; a "
         "number, or a time such as `\"50ms\"`";
-    MAX_LATE_SHARE "max_late_share" = "0.1": "largest share of cycles that began late (`late`) with which "
-        "a run is [carried](diagnosis.md#carried-or-not); `1.0` judges none";
-    MAX_SKIPPED_SHARE "max_skipped_share" = "0.01": "likewise the largest share of skipped slots";
-    MAX_UNANSWERED_SHARE "max_unanswered_share" = "0.01": "likewise the largest share of exchanges that a "
-        "drive did not answer while it was online";
 }
 
 pub(super) const WAITS: [(&str, Wait); 2] = [("poll", Wait::Poll), ("spin", Wait::Spin)];

@@ -11,11 +11,14 @@ use fieldbeat_keys::keys;
 use fieldbeat_keys::table::{POSITIVE, Table, list, number, set};
 
 keys! {
+    ACCELERATION "acceleration" = "(`profile.acceleration`)": "acceleration and deceleration of these moves";
     AXIS "axis" = "none": "how an axis moves: one `[[soak.axis]]` each";
     DRIVE "drive" = "-": "name of the drive";
     MOVE "move" = "true": "`false`: the axis stays where it is, and is not enabled";
+    TARGETS "targets" = "(see above)": "positions, one after the other, again and again";
+    VELOCITIES "velocities" = "(see above)": "velocities, one after the other, again and again; "
+        "`jog_deadman` has to be 300 ms or more, or off";
     VELOCITY "velocity" = "(`profile.velocity`)": "velocity of these moves";
-    ACCELERATION "acceleration" = "(`profile.acceleration`)": "acceleration and deceleration of these moves";
     PAUSE "pause" = "500ms": "time between two of these moves";
     HOLD "hold" = "2s": "each of the velocities is held for so long";
     FOLLOWING_ERROR "following_error" = "none": "criterion: the largest following error that is good, in "
@@ -37,9 +40,6 @@ keys! {
     TELEMETRY_LOST "telemetry_lost" = "0": "telemetry records lost";
     FILES_LOST "files_lost" = "0": "checkpoints that could not be written";
     WARM_UP "warm_up" = "10min": "memory and descriptors of a process are judged from then on";
-    TARGETS "targets" = "(see above)": "positions, one after the other, again and again";
-    VELOCITIES "velocities" = "(see above)": "velocities, one after the other, again and again; "
-        "`jog_deadman` has to be 300 ms or more, or off";
 }
 
 /// A soak test as configured and checked.

@@ -27,6 +27,8 @@ use fieldbeat_keys::machine::{Claim, Machine};
 use fieldbeat_keys::table::{POSITIVE, Table, integer, number, set};
 
 keys! {
+    BIND "bind" = "-": "address of the network adapter of the drives: `\"192.168.1.1\"`, or with another "
+        "UDP port than 2222. Sessions leave from it, too. `0.0.0.0` is refused: drives compare the two";
     DSCP "dscp" = "47": "mark of the packets for switches, 0 ... 63: 47 is scheduled traffic, 0 no mark";
     VENDOR "vendor" = "251": "vendor id of this master, 0 ... 65535";
     SERIAL "serial" = "(made of `bind`)": "serial number of this master, 0 ... 4294967295; unique on the "
@@ -34,6 +36,8 @@ keys! {
         "at once";
     STEPS_PER_REV "steps_per_rev" = "20000": "motor steps of a revolution, 1 ... 131070, as the drive's EG "
         "is set (EG counts half of them)";
+    ADDRESS "address" = "-": "address of the drive: `\"192.168.1.40\"`, or with another port for explicit "
+        "messages than 44818. One drive per IP address";
     CONNECTION "connection" = "owner": "`\"owner\"` commands the drive. `\"input-only\"` has no outputs: "
         "values are shown, calls are taken, motion is refused. `\"listen-only\"` is the same with the "
         "packets of another connection, and ends with it";
@@ -58,6 +62,8 @@ keys! {
     WATCHDOG "watchdog" = "500ms": "what the drive's ZS is set to at most: the silence after which it "
         "stops by itself; up to 10 s, at least two of the master's intervals. `\"off\"`: ZS is 0. No "
         "message of the manual reads ZS and ZA: they are taken on trust";
+    NO_DRIVE_WATCHDOG "no_drive_watchdog" = "refuse": "a drive that would not stop by itself (`watchdog = "
+        "\"off\"`) is refused by `check`, or taken with `\"accept\"`";
     HOMED_REGISTER "homed_register" = "none": "register of the drive, `\"0\"` ... `\"9\"`, that is not 0 "
         "while the drive has its reference. Without it only what this master saw counts, and an axis has "
         "to be homed after each loss of its link";
@@ -79,21 +85,15 @@ keys! {
         "steps; a number: the counts of a revolution. `false`: the position is that of the commanded steps";
     INPUT "input" = "-": "number of the input that is wired as hardware enable, 1 ... 12";
     CLOSED "closed" = "true": "the drive is enabled while that input is closed; `false`: while it is open";
-    HOMING_INPUT "input" = "-": "the input with its condition: `\"2L\"` is input 2, low; 0 (index of the "
-        "encoder) ... 12, then H, L, R or F";
-    JOG "jog" = "true": "takes jogs and velocities; `false` refuses them";
     HOMING_METHOD "method" = "-": "`\"seek\"`: SH, to an input, where the master then sets the drive's "
         "position to 0; `\"find\"`: FH. The position of home is `offset`. Without `homing` the axis "
         "refuses to home";
+    HOMING_INPUT "input" = "-": "the input with its condition: `\"2L\"` is input 2, low; 0 (index of the "
+        "encoder) ... 12, then H, L, R or F";
     HOMING_VELOCITY "velocity" = "-": "velocity of the homing, units/s";
     HOMING_ACCELERATION "acceleration" = "-": "acceleration of the homing, units/s²";
     HOMING_DISTANCE "distance" = "-": "longest way of the homing, units; its sign is the direction";
-    BIND "bind" = "-": "address of the network adapter of the drives: `\"192.168.1.1\"`, or with another "
-        "UDP port than 2222. Sessions leave from it, too. `0.0.0.0` is refused: drives compare the two";
-    ADDRESS "address" = "-": "address of the drive: `\"192.168.1.40\"`, or with another port for explicit "
-        "messages than 44818. One drive per IP address";
-    NO_DRIVE_WATCHDOG "no_drive_watchdog" = "refuse": "a drive that would not stop by itself (`watchdog = "
-        "\"off\"`) is refused by `check`, or taken with `\"accept\"`";
+    JOG "jog" = "true": "takes jogs and velocities; `false` refuses them";
 }
 
 /// This protocol, for the list of all of them.

@@ -10,12 +10,12 @@ use super::value::{ENDPOINT, SOMETHING, station};
 use crate::keys;
 
 keys! {
+    DEFAULTS "defaults" = "none": "the table `[bus.defaults]`: keys for all drives of this bus";
     DRIVE "drive" = "(at least one)": "the drives: one `[[bus.drive]]` each";
-    SIMULATED_WIRE "simulate" = "none": "the segment or wire when it is simulated, see below";
     DEVICE "device" = "none": "slaves that are no drives: one `[[bus.device]]` each";
+    SIMULATED_WIRE "simulate" = "none": "the segment or wire when it is simulated, see below";
     SIMULATE "simulate" = "none": "the drive when it is simulated, see below and in the section of the "
         "protocol";
-    DEFAULTS "defaults" = "none": "the table `[bus.defaults]`: keys for all drives of this bus";
 }
 
 /// Stands in for an address that was refused: the plan is not handed out then.

@@ -28,11 +28,26 @@ keys! {
         "one stops the axis";
     JOG_DEADMAN "jog_deadman" = "500ms": "a jog that is not renewed within this time stops, or `\"off\"`: "
         "it runs until something replaces it";
+    ENABLE_TIMEOUT "enable_timeout" = "5s": "longest time for Enable, Disable and ResetFault; and for "
+        "which an Enable waits for the write of a [parameter that may command the "
+        "drive](parameters.md#while-power-is-on)";
+    HOME_TIMEOUT "home_timeout" = "60s": "longest time for Home";
+    COMMAND_QUEUE "command_queue" = "64": "entries of the command queue";
+    STREAM_QUEUE "stream_queue" = "1024": "entries of the queue of streamed rows";
+    EVENT_QUEUE "event_queue" = "256": "entries of the event queue";
+    SAMPLE_QUEUE "sample_queue" = "0": "entries of the queue with the feedback of every cycle; 0 keeps "
+        "only the newest";
+    PARAMETER_QUEUE "parameter_queue" = "64": "entries of the queue of parameter calls";
     LOAD "load" = "level": "`\"vertical\"`: the load drops when nothing holds it; needs `held_by`";
     HELD_BY "held_by" = "(required by a vertical load)": "what holds a vertical load: the drive's "
         "`\"brake\"`, or the powered `\"drive\"`, which the master then never powers off";
+    WINDOW "window" = "(the way at `stop.standstill` in 100 ms, 4 counts at least: `0.5` mm, `0.005` rev)":
+        "largest distance, units, between the target of a move, or a stream, and the actual position for "
+        "the move to be done, or `\"off\"`: done when the demand is there";
     FOR "for" = "10": "good exchanges in a row within `in_position.window` and at standstill: then the "
         "move is done; a number, or a time such as `\"50ms\"`";
+    TIMEOUT "timeout" = "1s": "longest time from the end of the demand until the axis is in position; "
+        "later the move has failed";
     NAME "name" = "-": "name of the drive or device in programs and messages: 1 to 32 letters, digits, "
         "`-`, `_` or `.`; unique in the machine";
     UNITS "units" = "(`\"mm\"` for LinUDP, else `\"rev\"`)": "unit of length: `\"mm\"` or `\"rev\"`";
@@ -45,41 +60,6 @@ keys! {
         "position of an axis that runs on without end begins at 0 again. Without it the positions end with "
         "the 32-bit counts of the drive, and a move behind that end is refused";
     POSITION "position" = "none": "allowed range, units: `[lowest, highest]`";
-    BUCKET "bucket" = "5": "[misses that fill the bucket](stops.md#when-a-link-is-lost): then the link is "
-        "lost; a number, or a time such as `\"50ms\"`";
-    LEAK "leak" = "1": "good exchanges in a row that take one miss out of the bucket";
-    GATE "gate" = "10": "good exchanges in a row that bring a link up";
-    PROBE_INTERVAL "probe_interval" = "100ms": "how often a request goes to an absent drive; on EtherCAT, "
-        "whose frame leaves in each cycle anyway, a drive takes part in all its cycles";
-    HOW "how" = "ramp": "how the master stops the axis: along a ramp, by the drive's own `\"quick\"` stop, "
-        "or `\"coast\"` (power off at once)";
-    DECELERATION "deceleration" = "(`profile.deceleration`)": "deceleration of the ramp, units/s²; may "
-        "exceed `limits.acceleration`";
-    THEN "then" = "disable": "at standstill: power off, or `\"hold\"` (default where `held_by = \"drive\"`)";
-    ON_TIMEOUT "on_timeout" = "disable": "without standstill by then: power off, or `\"hold\"` (default "
-        "where `held_by = \"drive\"`)";
-    STANDSTILL "standstill" = "(`5` mm/s, `0.05` rev/s)": "standstill is a velocity below this; keep it "
-        "above the noise of the encoder";
-    STANDSTILL_FOR "standstill_for" = "20": "good exchanges in a row below `stop.standstill`: then the "
-        "axis is at standstill";
-    GROUP "group" = "none": "drives with the same group name stop together";
-    UNDERRUN "underrun" = "stop": "what an empty stream does: `\"stop\"`, `\"hold\"` (last position), or "
-        "`{ extrapolate = 3 }` exchanges, then stop";
-    ENABLE_TIMEOUT "enable_timeout" = "5s": "longest time for Enable, Disable and ResetFault; and for "
-        "which an Enable waits for the write of a [parameter that may command the "
-        "drive](parameters.md#while-power-is-on)";
-    HOME_TIMEOUT "home_timeout" = "60s": "longest time for Home";
-    COMMAND_QUEUE "command_queue" = "64": "entries of the command queue";
-    STREAM_QUEUE "stream_queue" = "1024": "entries of the queue of streamed rows";
-    EVENT_QUEUE "event_queue" = "256": "entries of the event queue";
-    SAMPLE_QUEUE "sample_queue" = "0": "entries of the queue with the feedback of every cycle; 0 keeps "
-        "only the newest";
-    PARAMETER_QUEUE "parameter_queue" = "64": "entries of the queue of parameter calls";
-    WINDOW "window" = "(the way at `stop.standstill` in 100 ms, 4 counts at least: `0.5` mm, `0.005` rev)":
-        "largest distance, units, between the target of a move, or a stream, and the actual position for "
-        "the move to be done, or `\"off\"`: done when the demand is there";
-    TIMEOUT "timeout" = "1s": "longest time from the end of the demand until the axis is in position; "
-        "later the move has failed";
     VELOCITY "velocity" = "none": "largest velocity, units/s";
     ACCELERATION "acceleration" = "none": "largest acceleration, units/s²";
     STEP "step" = "none": "largest distance between two streamed rows";
@@ -94,7 +74,27 @@ keys! {
         "acceleration of such a move, units/s²; at most the limit";
     PROFILE_DECELERATION "deceleration" = "(`profile.acceleration`)": "deceleration of such a move, "
         "units/s²";
+    BUCKET "bucket" = "5": "[misses that fill the bucket](stops.md#when-a-link-is-lost): then the link is "
+        "lost; a number, or a time such as `\"50ms\"`";
+    LEAK "leak" = "1": "good exchanges in a row that take one miss out of the bucket";
+    GATE "gate" = "10": "good exchanges in a row that bring a link up";
+    PROBE_INTERVAL "probe_interval" = "100ms": "how often a request goes to an absent drive; on EtherCAT, "
+        "whose frame leaves in each cycle anyway, a drive takes part in all its cycles";
+    HOW "how" = "ramp": "how the master stops the axis: along a ramp, by the drive's own `\"quick\"` stop, "
+        "or `\"coast\"` (power off at once)";
+    DECELERATION "deceleration" = "(`profile.deceleration`)": "deceleration of the ramp, units/s²; may "
+        "exceed `limits.acceleration`";
+    THEN "then" = "disable": "at standstill: power off, or `\"hold\"` (default where `held_by = \"drive\"`)";
     STOP_TIMEOUT "timeout" = "3s": "longest time to standstill";
+    ON_TIMEOUT "on_timeout" = "disable": "without standstill by then: power off, or `\"hold\"` (default "
+        "where `held_by = \"drive\"`)";
+    STANDSTILL "standstill" = "(`5` mm/s, `0.05` rev/s)": "standstill is a velocity below this; keep it "
+        "above the noise of the encoder";
+    STANDSTILL_FOR "standstill_for" = "20": "good exchanges in a row below `stop.standstill`: then the "
+        "axis is at standstill";
+    GROUP "group" = "none": "drives with the same group name stop together";
+    UNDERRUN "underrun" = "stop": "what an empty stream does: `\"stop\"`, `\"hold\"` (last position), or "
+        "`{ extrapolate = 3 }` exchanges, then stop";
 }
 
 /// `stop.how`.

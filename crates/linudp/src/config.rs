@@ -32,6 +32,10 @@ use fieldbeat_keys::table::{POSITIVE, Table, integer, up_to};
 use fieldbeat_keys::value::unknown;
 
 keys! {
+    BIND "bind" = "-": "address of the network adapter that the drives are on: `\"192.168.1.1\"`, or with "
+        "another port than 41136. Drives ignore requests from a port that they are not parameterised for";
+    ADDRESS "address" = "-": "address of the drive: `\"192.168.1.10\"`, or with another port than 49360. "
+        "One drive per IP address";
     REPLY_TAG "reply_tag" = "definition": "what distinguishes a late or repeated reply from the newest "
         "one. `\"definition\"`: each request names other blocks than the one before it, so that eight "
         "consecutive replies differ (four, if monitoring channels are shown). `\"count\"`: each request "
@@ -41,12 +45,6 @@ keys! {
         "allows it, until its hardware enable (STO) counts as missing; its status may be some milliseconds "
         "old. Below `enable_timeout`. A hardware enable that was there and goes is reported by the second "
         "reply in a row that says so";
-    BIND "bind" = "-": "address of the network adapter that the drives are on: `\"192.168.1.1\"`, or with "
-        "another port than 41136. Drives ignore requests from a port that they are not parameterised for";
-    ADDRESS "address" = "-": "address of the drive: `\"192.168.1.10\"`, or with another port than 49360. "
-        "One drive per IP address";
-    NO_DRIVE_WATCHDOG "no_drive_watchdog" = "refuse": "a LinUDP drive has no watchdog: jogs and cyclic "
-        "velocities are refused, or allowed by `\"accept\"` with a `leash`";
     SERIAL "serial" = "none": "required number in the parameter `serial_from`, 0 ... 4294967295: it is "
         "read by the probes before anything is written, and after each loss of the link. A drive with "
         "another one stays not connected, and one line has both. Without it whatever drive answers at the "
@@ -65,6 +63,8 @@ keys! {
         "a later cycle answers the request that its tag names, and is feedback with that age. At most 7, "
         "with `monitor` 3 (unless `reply_tag = \"count\"`), without a tag 1. Each cycle more is one more "
         "until a dead drive is lost";
+    NO_DRIVE_WATCHDOG "no_drive_watchdog" = "refuse": "a LinUDP drive has no watchdog: jogs and cyclic "
+        "velocities are refused, or allowed by `\"accept\"` with a `leash`";
     LEASH "leash" = "(required by `\"accept\"`)": "distance, units, that the target of a jog or velocity "
         "runs ahead of the axis, and that the axis runs on if the master dies; at most the range";
 }

@@ -28,6 +28,8 @@ keys! {
     BIND "bind" = "none": "address of the network adapter that the connections leave from: "
         "`\"192.168.1.1\"`. Without it the routes of this computer decide. A drive that accepts one "
         "computer only sees this address";
+    ADDRESS "address" = "-": "address of the drive: `\"192.168.1.20\"`, or with another port than 502. One "
+        "drive per address and port";
     SERIAL "serial" = "any": "required serial number, up to eighteen digits, read in each handshake before "
         "anything is written. A drive with another one stays not connected, and one line has both. Without "
         "it whatever drive answers at the address is taken. `fieldbeat pin` writes it";
@@ -46,6 +48,10 @@ keys! {
         "below 250 ms and two exchanges, the default is shorter by these, and at least half the time-out";
     SET_UP "set_up" = "true": "before the first Enable, sets the drive's RAM to what the master needs; "
         "`false` only verifies it";
+    CONTROL "control" = "06.042": "control word";
+    REFERENCE "reference" = "01.021": "speed setpoint";
+    STATUS "status" = "\"10.040\"": "status word";
+    SPEED "speed" = "03.002": "speed feedback";
     TRIP "trip" = "\"10.020\"": "number of the last trip, or `\"off\"`";
     MONITOR "monitor" = "[\"04.020\"]": "up to four parameters that are shown with the feedback, or `false`";
     ALSO_READ "also_read" = "[]": "further parameters for the native process data; ranges as `\"20.021 ... "
@@ -58,12 +64,6 @@ keys! {
     TIMEOUT "timeout" = "500ms": "the drive trips after so long without Modbus traffic (Pr S.15.009); "
         "`\"off\"` leaves that parameter as it is";
     KEYPAD "keypad" = "false": "the watchdog in bit 14 of the control word, about 1 s";
-    CONTROL "control" = "06.042": "control word";
-    REFERENCE "reference" = "01.021": "speed setpoint";
-    STATUS "status" = "\"10.040\"": "status word";
-    SPEED "speed" = "03.002": "speed feedback";
-    ADDRESS "address" = "-": "address of the drive: `\"192.168.1.20\"`, or with another port than 502. One "
-        "drive per address and port";
     NO_DRIVE_WATCHDOG "no_drive_watchdog" = "refuse": "a drive with neither watchdog is not enabled, or is "
         "with `\"accept\"`";
 }

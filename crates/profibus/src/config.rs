@@ -35,12 +35,15 @@ use fieldbeat_keys::table::{Table, integer, list, number, set};
 use fieldbeat_keys::value::{SHORT_NAME, alternatives};
 
 keys! {
+    DEVICE "device" = "-": "serial port: `\"/dev/ttyS1\"`; or `\"local:NAME\"`, a simulated wire on this "
+        "host";
     RATE "rate" = "1500000": "bit/s: 9600, 19200, 45450, 93750, 187500, 500000, 1500000, 3000000, 6000000 "
         "or 12000000. The driver's rate is read back; more than 0.3 % off is refused";
-    ADDRESS "address" = "-": "address that is set at the module, 0 ... 125; one drive per address";
+    OWN_ADDRESS "address" = "2": "address of this master, 0 ... 125";
     RETRIES "retries" = "1": "how often a request without a correct answer is repeated, 1 ... 15";
     TOKEN "token" = "true": "sends a token to itself in each round, as a bus monitor expects it. The token "
         "is claimed in any case";
+    GAP "gap" = "100": "rounds between two searches for another master, 1 ... 100; or `\"off\"`";
     HIGHEST_ADDRESS "highest_address" = "126": "up to it another master is looked for";
     GLOBAL_CONTROL "global_control" = "100ms": "how often Global_Control with Operate is sent, 1 ms ... 10 "
         "s";
@@ -51,6 +54,15 @@ keys! {
     LATENCY "latency" = "0us": "what the port's driver adds before a byte is read, at most 100 ms: it "
         "extends the slot time. USB adapters add milliseconds, and so do simulated drives on a busy "
         "computer";
+    MAX_TSDR "max_tsdr" = "(60 up to 187.5 kbit/s but 250 at 45.45, then 100, 150, 250, 450, 800)":
+        "MaxTsdr: the slowest drive begins to answer after so many bits, `MaxTsdr_` of its GSD";
+    BITS_SLOT "slot" = "(100 up to 187.5 kbit/s but 640 at 45.45, then 200, 300, 400, 600, 1000)":
+        "slot time Tsl, bits: an answer has begun by then. More than `bits.max_tsdr` + 15";
+    SYNC "sync" = "33": "Tsyn, bits: silence before each request";
+    IDLE "idle" = "33": "Tid1, bits: silence after an answer and after a token";
+    IDLE_UNANSWERED "idle_unanswered" = "(`bits.max_tsdr`)": "Tid2, bits: silence after a request that "
+        "nobody answers, at least 33";
+    ADDRESS "address" = "-": "address that is set at the module, 0 ... 125; one drive per address";
     IDENT "ident" = "0x0082": "ident number of the module. The default is that of the module before it, "
         "2130IB: look into the GSD";
     USER_PRM "user_prm" = "[0x80, 0, 0]": "User_Prm, up to 237 bytes. The first byte has the bits of "
@@ -60,6 +72,8 @@ keys! {
     WATCHDOG "watchdog" = "100ms": "the drive stops when it is not addressed for this time, up to 650 s "
         "(65 s in 1 ms); or `\"off\"`. Set_Prm sets it, and it has to show in the diagnosis before the "
         "drive is enabled";
+    NO_DRIVE_WATCHDOG "no_drive_watchdog" = "refuse": "a drive without `watchdog` is not enabled, or is "
+        "with `\"accept\"`";
     MIN_TSDR "min_tsdr" = "11": "the drive answers no sooner, bits: 11 ... 255; 0: it keeps what it has";
     MIN_SLAVE_INTERVAL "min_slave_interval" = "0us": "the drive is not addressed again sooner, from the "
         "begin of one turn to that of the next: Min_Slave_Intervall of its GSD, in units of 100 µs there. "
@@ -75,6 +89,8 @@ keys! {
     MONITOR "monitor" = "false": "up to four words of the inputs that are shown with the feedback: `{ name "
         "= \"torque\", word = 2, per_count = 0.0061, signed = true, unit = \"%\" }`; `per_count`, `signed` "
         "and `unit` may be left out. Units: %, A, V, Hz, rpm, Nm, W, °C";
+    FAULT_AT "fault_at" = "1": "the fault code is the word at this byte of the extended diagnosis, 0 ... "
+        "242, counted from its header; or `\"off\"`";
     EXTENDED_DIAGNOSIS "extended_diagnosis" = "3": "most bytes of the extended diagnosis, for the time of "
         "a turn: Max_Diag_Data_Len of the GSD less 6";
     GROUPS "groups" = "[]": "groups of Global_Control that the drive belongs to, 1 ... 8. This master "
@@ -99,22 +115,6 @@ keys! {
     FULL_RPM "full_rpm" = "1500": "full speed, as C0011 has it, rpm. Nothing compares them: where C0011 is "
         "written, by `param` too, the drive turns at the same set point by another speed, and the limits "
         "do not know. Change both";
-    DEVICE "device" = "-": "serial port: `\"/dev/ttyS1\"`; or `\"local:NAME\"`, a simulated wire on this "
-        "host";
-    GAP "gap" = "100": "rounds between two searches for another master, 1 ... 100; or `\"off\"`";
-    MAX_TSDR "max_tsdr" = "(60 up to 187.5 kbit/s but 250 at 45.45, then 100, 150, 250, 450, 800)":
-        "MaxTsdr: the slowest drive begins to answer after so many bits, `MaxTsdr_` of its GSD";
-    BITS_SLOT "slot" = "(100 up to 187.5 kbit/s but 640 at 45.45, then 200, 300, 400, 600, 1000)":
-        "slot time Tsl, bits: an answer has begun by then. More than `bits.max_tsdr` + 15";
-    SYNC "sync" = "33": "Tsyn, bits: silence before each request";
-    IDLE "idle" = "33": "Tid1, bits: silence after an answer and after a token";
-    IDLE_UNANSWERED "idle_unanswered" = "(`bits.max_tsdr`)": "Tid2, bits: silence after a request that "
-        "nobody answers, at least 33";
-    FAULT_AT "fault_at" = "1": "the fault code is the word at this byte of the extended diagnosis, 0 ... "
-        "242, counted from its header; or `\"off\"`";
-    OWN_ADDRESS "address" = "2": "address of this master, 0 ... 125";
-    NO_DRIVE_WATCHDOG "no_drive_watchdog" = "refuse": "a drive without `watchdog` is not enabled, or is "
-        "with `\"accept\"`";
 }
 
 /// This protocol, for the list of all of them.

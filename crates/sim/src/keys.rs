@@ -7,23 +7,23 @@ use fieldbeat_keys::table::Table;
 
 keys! {
     SEED "seed" = "0": "seed of the random faults; each drive adds its place in the file";
-    DELAY_BY "delay_by" = "(one period of the drive)": "how much later a delayed datagram arrives";
-    STALL_FOR "stall_for" = "100ms": "length of a stall";
-    STO_FOR "sto_for" = "100ms": "how long the hardware enable stays open";
-    ANSWER_TIME "answer_time" = "0us": "time from a request to its reply";
     DROP "drop" = "0": "rate of lost datagrams";
     DUPLICATE "duplicate" = "0": "rate of duplicated datagrams";
     CORRUPT "corrupt" = "0": "rate of datagrams with a wrong bit";
     DELAY "delay" = "0": "rate of delayed datagrams";
+    DELAY_BY "delay_by" = "(one period of the drive)": "how much later a delayed datagram arrives";
     REORDER "reorder" = "0": "rate of datagrams that overtake each other";
     STALL "stall" = "0": "rate of stalls: the drive stops answering";
+    STALL_FOR "stall_for" = "100ms": "length of a stall";
     RESTART "restart" = "0": "rate of restarts of the drive";
     STO "sto" = "0": "rate at which the hardware enable (STO) opens";
+    STO_FOR "sto_for" = "100ms": "how long the hardware enable stays open";
     WRONG_ID "wrong_id" = "0": "rate of replies with a wrong identity";
     SPLIT "split" = "0": "rate of messages on a connection that arrive one byte at a time";
     CUT "cut" = "0": "rate of connections that end in the middle of a reply";
     SEGMENT_LOSS "segment_loss" = "0": "rate of lost TCP segments. TCP sends a lost segment again after "
         "200 ms, and after twice the time each time after that; later ones wait behind it";
+    ANSWER_TIME "answer_time" = "0us": "time from a request to its reply";
 }
 
 /// Reads those of drive `index` of its bus, with an exchange every `period_ns`.

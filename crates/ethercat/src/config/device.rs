@@ -13,12 +13,12 @@ use fieldbeat_keys::machine::Machine;
 use fieldbeat_keys::table::{Table, elements};
 
 keys! {
-    START "start" = "-": "start address of the process data, like `0x1000`";
-    LENGTH "length" = "-": "bytes of the process data";
     OUTPUTS "outputs" = "none": "where the outputs are, from `0x0F00` on, or a list of several "
         "SyncManagers: `[{ start = 0x0F00, length = 1 }, { start = 0x0F01, length = 1 }]`, at most 4; the "
         "application's bytes are those of all areas, in this order";
     INPUTS "inputs" = "none": "where the inputs are, likewise";
+    START "start" = "-": "start address of the process data, like `0x1000`";
+    LENGTH "length" = "-": "bytes of the process data";
 }
 
 /// The most bytes of process data, each way.

@@ -30,6 +30,8 @@ use fieldbeat_keys::machine::Machine;
 use fieldbeat_keys::table::{POSITIVE, Table, integer, set};
 
 keys! {
+    INTERFACE "interface" = "-": "network interface of the segment, `\"eth1\"`; `\"local:NAME\"` is a "
+        "segment of simulated drives on this computer";
     SYNC_AHEAD "sync_ahead" = "(half of the period)": "how long before SYNC0 a frame leaves the master";
     LRW "lrw" = "true": "outputs and inputs share one LRW datagram, which all slaves have to support; "
         "`false`: LWR and LRD";
@@ -40,11 +42,17 @@ keys! {
     CHECK_PRBASE "check_prbase" = "true": "compares 608Fh:1 / 608Fh:2 of the drive with `prbase`";
     SETPOINTS "setpoints" = "master": "`\"native\"`: all targets are the application's, by native outputs; "
         "the master drives none";
+    NO_DRIVE_WATCHDOG "no_drive_watchdog" = "refuse": "without a time in `watchdog`: velocities and "
+        "torques are refused, or allowed by `\"accept\"`";
     HOME_METHOD "home_method" = "(as set in the drive)": "homing method (6098h), -128 ... 127";
     ABSOLUTE "absolute" = "false": "its encoder is absolute: it is homed from the start. See "
         "[below](#when-a-drive-is-homed)";
     MONITOR "monitor" = "false": "up to four objects that are shown with the feedback, read by the mailbox "
         "in turns";
+    SYNC "sync" = "(`true` of a drive, `false` of a device)": "the slave works by SYNC0 of its distributed "
+        "clock; `false`: by the arrival of the frame. Its cycle time, 60C2h, is written with `true` only, "
+        "and is optional even then: a drive without it, or that only lets it be read, is named once, and "
+        "has to find its cycle by SYNC0 or by a parameter of its own";
     CHECK_SII "check_sii" = "true": "compares mailboxes and process data in the SII with the "
         "configuration: start addresses, the lengths of mailboxes, and those of process data of a device "
         "unless `start_up` selects or maps PDOs (`0x1600` ... `0x1BFF`, `0x1C10` ... `0x1C2F`)";
@@ -60,8 +68,14 @@ keys! {
     WATCHDOG "watchdog" = "(as its SII has it)": "SyncManager watchdog: without outputs for so long, "
         "`\"100us\"` ... `\"6553.5ms\"`, the slave falls back by itself; or `\"off\"`. See "
         "[below](#the-watchdog-of-a-slave)";
+    OUTPUTS "outputs" = "\"0x1702\"": "process data to the drive: a known fixed PDO (`\"0x1701\"` "
+        "position, `\"0x1702\"` velocity, `\"0x1703\"` torque), a list of objects to map, or `{ pdo = "
+        "\"0x1704\", objects = [...] }`";
+    INPUTS "inputs" = "(`\"0x1B03\"`; AKD `\"0x1B24\"`)": "process data from the drive";
     MAPPING "mapping" = "(by the PDOs)": "`\"fixed\"`: PDOs are selected; `\"free\"`: the master maps the "
         "objects; `\"as-is\"`: nothing is written";
+    BUFFERS_OUTPUTS "outputs" = "0x1100": "start address of the process data to the drive";
+    BUFFERS_INPUTS "inputs" = "0x1140": "start address of the process data from the drive";
     MODE "mode" = "(by the first target in `pdo.outputs`)": "mode of operation (6060h), a number or a "
         "name: it decides which target is driven. See [below](#what-is-in-the-outputs-of-a-drive)";
     PRBASE "prbase" = "20": "increments of one turn as a power of two (PRBASE of the drive)";
@@ -70,20 +84,6 @@ keys! {
     TORQUE_PERMILLE_PER_COUNT "torque_permille_per_count" = "1": "per mille of the rated torque or current "
         "of one count of the torque setpoint";
     RATED_CURRENT "rated_current" = "none": "rated current of the motor, A; needed to report the current";
-    INTERFACE "interface" = "-": "network interface of the segment, `\"eth1\"`; `\"local:NAME\"` is a "
-        "segment of simulated drives on this computer";
-    OUTPUTS "outputs" = "\"0x1702\"": "process data to the drive: a known fixed PDO (`\"0x1701\"` "
-        "position, `\"0x1702\"` velocity, `\"0x1703\"` torque), a list of objects to map, or `{ pdo = "
-        "\"0x1704\", objects = [...] }`";
-    INPUTS "inputs" = "(`\"0x1B03\"`; AKD `\"0x1B24\"`)": "process data from the drive";
-    BUFFERS_OUTPUTS "outputs" = "0x1100": "start address of the process data to the drive";
-    BUFFERS_INPUTS "inputs" = "0x1140": "start address of the process data from the drive";
-    NO_DRIVE_WATCHDOG "no_drive_watchdog" = "refuse": "without a time in `watchdog`: velocities and "
-        "torques are refused, or allowed by `\"accept\"`";
-    SYNC "sync" = "(`true` of a drive, `false` of a device)": "the slave works by SYNC0 of its distributed "
-        "clock; `false`: by the arrival of the frame. Its cycle time, 60C2h, is written with `true` only, "
-        "and is optional even then: a drive without it, or that only lets it be read, is named once, and "
-        "has to find its cycle by SYNC0 or by a parameter of its own";
 }
 
 /// This protocol, for the list of all of them.

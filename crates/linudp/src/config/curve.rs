@@ -20,14 +20,14 @@ use fieldbeat_keys::table::{Table, integer, list, number};
 use fieldbeat_keys::value;
 
 keys! {
-    KIND "kind" = "-": "`\"time\"`, or `\"cam\"` over the counts of an encoder";
-    ID "id" = "-": "number of the curve, 1 ... 100";
-    WIZARD "wizard" = "0": "how the vendor's tool made the curve";
-    LENGTH "length" = "-": "from the first setpoint to the last: ms in steps of 0.01, or counts of a cam";
-    WIZARD_PARAMETERS "wizard_parameters" = "(zeros)": "7 numbers of that tool";
     X_DIMENSION "x_dimension" = "(`26` for a time curve, `27` for a cam)":
         "the drive's number for the unit of x: 26 time, 27 encoder, 5 position";
     Y_DIMENSION "y_dimension" = "5": "the same for the setpoints";
+    WIZARD "wizard" = "0": "how the vendor's tool made the curve";
+    KIND "kind" = "-": "`\"time\"`, or `\"cam\"` over the counts of an encoder";
+    ID "id" = "-": "number of the curve, 1 ... 100";
+    LENGTH "length" = "-": "from the first setpoint to the last: ms in steps of 0.01, or counts of a cam";
+    WIZARD_PARAMETERS "wizard_parameters" = "(zeros)": "7 numbers of that tool";
 }
 
 /// The column of an axis, and the decimals of one wire count in its unit.

@@ -20,6 +20,9 @@ use fieldbeat_keys::table::{Table, integer, number};
 use fieldbeat_keys::value;
 
 keys! {
+    UNUSED "unused" = "none": "for a command by its name: the words behind its last field, if a drive has "
+        "other words than 0 there";
+    PARAMETERS "parameters" = "none": "for a command by its number: words of 16 bits";
     INCOMPLETE "incomplete" = "false": "`true`: entries may lead to entries that do not exist, as in some "
         "drives";
     ENTRY "entry" = "(`[]` for an empty table)": "the entries";
@@ -29,9 +32,6 @@ keys! {
     COUNT "count" = "0": "the lowest 4 bits of the header of the command";
     RESERVED "reserved" = "(zeros)": "the last 10 bytes of the entry";
     NEXT "next" = "none": "the entry that follows; without it the sequence ends here";
-    UNUSED "unused" = "none": "for a command by its name: the words behind its last field, if a drive has "
-        "other words than 0 there";
-    PARAMETERS "parameters" = "none": "for a command by its number: words of 16 bits";
 }
 
 /// Reads the command table at `path`.

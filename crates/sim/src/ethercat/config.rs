@@ -33,18 +33,18 @@ keys! {
     SERIAL "serial" = "(as `serial` of the drive, else `0`)": "serial number";
     HOME "home" = "0.5": "position of the home switch, turns of the motor from the position at power-on; "
         "or `\"none\"`";
-    SYNC_AFTER "sync_after" = "100": "cycles inside the window until the drive is synchronous";
-    HARDWARE_ENABLE "hardware_enable" = "true": "STO is closed";
-    DIGITAL "digital" = "0": "number of its digital terminals, a bit each; without this table they are as "
-        "many as fit";
-    ANALOGUE "analogue" = "0": "number of its analogue terminals, a word of 16 bits each";
     WITHOUT "without" = "[]": "objects that it does not have, by their index: `[0x60C2, 0x1002]`; up to 32";
     READ_ONLY "read_only" = "[]": "objects that it only lets be read";
+    SYNC_AFTER "sync_after" = "100": "cycles inside the window until the drive is synchronous";
+    HARDWARE_ENABLE "hardware_enable" = "true": "STO is closed";
     RATED_TORQUE "rated_torque" = "5": "rated torque of the motor, N m";
     PEAK_TORQUE "peak_torque" = "3000": "largest torque of the motor, per mille of the rated torque";
     MAX_SPEED "max_speed" = "6000": "largest speed of the motor, rpm";
     INERTIA "inertia" = "0.002": "inertia of all rotating parts, kg m²";
     FRICTION "friction" = "0.1": "load torque at any speed, N m";
+    DIGITAL "digital" = "0": "number of its digital terminals, a bit each; without this table they are as "
+        "many as fit";
+    ANALOGUE "analogue" = "0": "number of its analogue terminals, a word of 16 bits each";
 }
 
 /// The most objects that one of its lists names.

@@ -14,6 +14,8 @@ use fieldbeat_linudp::{LinUdpDrive, LinUdpPlan};
 keys! {
     RANGE "range" = "(`limits.position` and 5 units more, else 1000 units both ways; a `modulo` axis turns without end, and its 32-bit position count wraps around)":
         "mechanical range `[lowest, highest]`";
+    HOME "home" = "(`0`, or the low end of the range)": "position of the home switch";
+    START "start" = "(the middle of the range)": "position at power-on";
     SERIAL "serial" = "(as of the drive, else `0`)": "the number in its parameter `serial_from`";
     PADDING "padding" = "14": "shortest payload in bytes: `0`, `14` or `64`";
     MASS "mass" = "1": "moving mass, kg";
@@ -36,8 +38,6 @@ keys! {
     EXTEND_SIGN "extend_sign" = "false": "values of less than 32 bits carry their sign in the bits above";
     FILTER "filter" = "\"none\"": "which masters the drive answers: all (`\"none\"`), a `\"single\"` one, "
         "or the one with this address";
-    HOME "home" = "(`0`, or the low end of the range)": "position of the home switch";
-    START "start" = "(the middle of the range)": "position at power-on";
 }
 
 /// Reads the simulated drives of a `[[bus]]` that is read otherwise.

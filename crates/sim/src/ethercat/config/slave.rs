@@ -13,6 +13,9 @@ keys! {
     LEFT "left" = "none": "as another master has left it, with a station address, an FMMU, SYNC0 and its "
         "SII given away after a failed command: in `\"op\"`, in `\"op\"` with the watchdog switched off: "
         "`\"unwatched\"`, in `\"safeop\"`, or by its `\"watchdog\"` in SAFEOP with 001Bh";
+    TYPE "type" = "(fits this file)": "the device that it is when simulated, whatever this file expects: "
+        "`\"EK1100\"`, `\"EK1122\"`, `\"EL1002\"`, `\"EL1004\"`, `\"EL1008\"`, `\"EL1809\"`, `\"EL2002\"`, "
+        "`\"EL2004\"`, `\"EL2008\"`, `\"EL2809\"` (two SyncManagers), `\"EL3102\"` (with a mailbox)";
     SERIAL "serial" = "(as `serial` of the drive, else `0`)": "serial number";
     ALIAS "alias" = "(as `alias` of the drive, else `0`)": "configured station alias; 0: none";
     IDENTIFICATION "identification" = "(as `identification` of the drive, else none)":
@@ -26,6 +29,7 @@ keys! {
     CLOCK "clock" = "(by `sync` and `short_clocks`)": "`\"long\"` (64 bits), `\"short\"` (32 bits) or "
         "`\"none\"`";
     FMMUS "fmmus" = "8": "number of its FMMUs, 0 ... 32";
+    WIRED_TO "wired_to" = "none": "name of the slave whose digital inputs its digital outputs are wired to";
     OWNED_BY_SLAVE "owned_by_slave" = "false": "after power-on its processor has the SII: a master has to "
         "take it by force";
     READ_IN_PREOP "read_in_preop" = "false": "refuses PREOP with 0050h while the master has the SII";
@@ -41,14 +45,10 @@ keys! {
     DELAY_EVERY "delay_every" = "1": "of so many answers one is late";
     LOSE_EVERY "lose_every" = "0": "of so many answers one is lost; 0: none";
     RESENDS "resends" = "true": "sends its last message again on request; `false`: only acknowledges that";
-    PORT "port" = "-": "port there, 1 ... 3. A frame leaves a slave by ports 3, 1 and 2, and positions "
-        "count in that order";
     SLAVE "slave" = "-": "name of the slave in front of it, at a branch; without `behind` it is at port 1 "
         "of the slave before it";
-    TYPE "type" = "(fits this file)": "the device that it is when simulated, whatever this file expects: "
-        "`\"EK1100\"`, `\"EK1122\"`, `\"EL1002\"`, `\"EL1004\"`, `\"EL1008\"`, `\"EL1809\"`, `\"EL2002\"`, "
-        "`\"EL2004\"`, `\"EL2008\"`, `\"EL2809\"` (two SyncManagers), `\"EL3102\"` (with a mailbox)";
-    WIRED_TO "wired_to" = "none": "name of the slave whose digital inputs its digital outputs are wired to";
+    PORT "port" = "-": "port there, 1 ... 3. A frame leaves a slave by ports 3, 1 and 2, and positions "
+        "count in that order";
 }
 
 /// The slaves of a bus by their names.
