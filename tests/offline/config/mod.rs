@@ -461,10 +461,7 @@ fn the_demo_has_as_many_drives_as_wanted() {
     assert_eq!(demo_plan(0, MS, 0).unwrap_err().to_string(), "0 drives: the demo has 1 to 128");
     assert_eq!(demo_plan(129, MS, 0).unwrap_err().to_string(), "129 drives: the demo has 1 to 128");
     let error = demo_plan(8, 10 * US, 0).unwrap_err().to_string();
-    assert!(
-        error.ends_with("cycle.period = \"10000ns\": must be at least 50 us"),
-        "{error}"
-    );
+    assert!(error.ends_with("cycle.period = \"10000ns\": must be at least 50 us"), "{error}");
 }
 
 #[test]

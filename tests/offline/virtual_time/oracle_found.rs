@@ -8,7 +8,7 @@ use super::oracle::steps::Choice::{
     By, Disable, Home, Jog, Native, Stop, StopAt, To, Torque, TorqueAlong, Velocity,
 };
 use super::oracle::steps::Op::{
-    Burst, Fault, Foreign, Late, Level, OldReply, Overload, Post, RepeatReply, RepeatRequest, Write,
+    Burst, Fault, Foreign, Late, Level, OldReply, Overload, Post, RepeatReply, RepeatRequest, Together, Write,
 };
 
 const KINDS: [Kind; 3] = [Kind::LinMot, Kind::Unidrive, Kind::Kollmorgen];
@@ -214,4 +214,11 @@ fn a_stop_of_a_stopped_axis_that_does_not_stop_it_has_a_time_limit() {
         let rounds: Vec<_> = (60..76).map(round).collect();
         holds(shape, &rounds.iter().map(|round| &round[..]).collect::<Vec<_>>());
     }
+}
+
+#[test]
+fn a_member_that_has_no_power_is_not_left_to_the_application_while_another_one_moves() {
+    let shape = Shape { other: true, free_writes: true, group: 0b11, ..shape(Kind::Kollmorgen, false) };
+    let native = Together(vec![Native(NativeOwner::Application), Jog(100), Torque]);
+    holds(shape, &[&[(2, 0, Post(vec![Disable])), (3, 2, native), (229, 1, Write(vec![11, 5, 1]))]]);
 }
