@@ -100,7 +100,7 @@ impl Between for Taped {
     fn receive(&mut self, message: Message<'_>, reply: &mut Vec<u8>) -> Option<SocketAddrV4> {
         let mut tape = self.tape.lock().unwrap();
         if let Some(code) = tape.provoke.take() {
-            self.drive.provoke(code);
+            self.drive.provoke(code.0);
         }
         let to = message.reaches(&mut self.drive, reply);
         let answer = to.and_then(|_| Response::parse(reply).ok());

@@ -40,6 +40,21 @@ keys! {
         "or the one with this address";
 }
 
+impl LinMots {
+    /// A drive with default settings for each of the bus.
+    pub fn of(plan: &LinUdpPlan) -> LinMots {
+        LinMots(plan.drives.iter().map(LinMotSettings::of).collect())
+    }
+}
+
+impl LinMotSettings {
+    /// A drive with default settings at the address of `drive`, with its serial number.
+    fn of(drive: &LinUdpDrive) -> LinMotSettings {
+        let serial = drive.serial.map(|serial| (serial.from.0, serial.number.unwrap_or_default()));
+        LinMotSettings { serial, ..LinMotSettings::new(drive.address) }
+    }
+}
+
 /// Reads the simulated drives of a `[[bus]]` that is read otherwise.
 pub fn read(table: &mut Table<'_>, plan: &LinUdpPlan, period_ns: u64) -> LinMots {
     LinMots(bus::simulated(table, &plan.drives, |table, drive, index| {

@@ -4,8 +4,8 @@
 
 use std::collections::VecDeque;
 
+use super::codec::errors;
 use fieldbeat_core::time::{MS, S};
-use fieldbeat_linudp::wire::ErrorCode;
 
 /// Entries that there is room for (LinUDP V2 manual, 71h: 0 ... 20).
 const ROOM: usize = 21;
@@ -18,7 +18,7 @@ const HOUR_NS: u64 = 3_600 * S;
 /// One error.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Entry {
-    pub code: ErrorCode,
+    pub code: u16,
     /// Full hours since the first power-on ...
     pub hours: u32,
     /// ... and milliseconds since then.
@@ -35,7 +35,7 @@ pub(super) struct ErrorLog {
 
 impl ErrorLog {
     /// Records an error, so long after the first power-on.
-    pub(super) fn record(&mut self, code: ErrorCode, operating_ns: u64) {
+    pub(super) fn record(&mut self, code: u16, operating_ns: u64) {
         self.entries.truncate(ROOM - 1);
         let (hours, ms) = hours_and_ms(operating_ns);
         self.entries.push_front(Entry { code, hours, ms });
@@ -61,9 +61,9 @@ pub(super) fn hours_and_ms(ns: u64) -> (u32, u32) {
 
 /// Four characters of the text of an error, 0-padded; text beyond 32 characters is cut. `None`: no such error, or
 /// no such part.
-pub(super) fn text(code: ErrorCode, part: u16) -> Option<[u8; 4]> {
+pub(super) fn text(code: u16, part: u16) -> Option<[u8; 4]> {
     let at = usize::from(part) * 4;
-    let text = code.name().filter(|_| at < TEXT)?.as_bytes();
+    let text = errors::text(code).filter(|_| at < TEXT)?.as_bytes();
     Some([0, 1, 2, 3].map(|n| text.get(at + n).copied().unwrap_or(0)))
 }
 
@@ -76,13 +76,13 @@ mod tests {
         let mut log = ErrorLog::default();
         assert_eq!((log.counters(), log.entry(0)), ((0, 0), None));
         for n in 0..30 {
-            log.record(ErrorCode(n), HOUR_NS * 5 / 2 + u64::from(n) * MS);
+            log.record(n, HOUR_NS * 5 / 2 + u64::from(n) * MS);
         }
         assert_eq!(log.counters(), (21, 30));
-        assert_eq!(log.entry(0), Some(Entry { code: ErrorCode(29), hours: 2, ms: 1_800_029 }));
-        assert_eq!(log.entry(20).map(|entry| entry.code), Some(ErrorCode(9)));
+        assert_eq!(log.entry(0), Some(Entry { code: 29, hours: 2, ms: 1_800_029 }));
+        assert_eq!(log.entry(20).map(|entry| entry.code), Some(9));
         assert_eq!(log.entry(21), None);
-        (0..70_000).for_each(|_| log.record(ErrorCode(1), 0));
+        (0..70_000).for_each(|_| log.record(1, 0));
         assert_eq!(log.counters(), (21, u16::MAX));
     }
 }

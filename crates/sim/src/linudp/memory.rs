@@ -3,11 +3,10 @@
 //! Knows no wire block and no motion. Curves and command table have a copy in RAM, which runs, and one in flash,
 //! which a restart loads.
 
-use super::curves::Curves;
 use super::log::ErrorLog;
-use super::parameters::{Parameters, Part};
+use super::parameters::Parameters;
 use super::settings::{FlashMode, LinMotSettings};
-use super::table::Tables;
+use super::store::Store;
 use fieldbeat_core::time::Time;
 
 /// Writing one parameter takes this share of the time of a whole save. Masters in the field saw saves of 40 s and
@@ -21,8 +20,8 @@ pub(super) enum Save {
     Table,
     /// A UPID and its value, which was checked before.
     Parameter(u16, u32),
-    /// One part of the parameters to its defaults.
-    Defaults(Part),
+    /// The parameters of one part of the software to their defaults: the highest digit of their UPIDs.
+    Defaults(u16),
 }
 
 /// All memories of the drive.
@@ -30,8 +29,8 @@ pub(super) enum Save {
 pub(super) struct Memory {
     pub parameters: Parameters,
     pub log: ErrorLog,
-    pub curves: Curves,
-    pub table: Tables,
+    pub curves: Store,
+    pub table: Store,
     /// What is being written, and when that is complete.
     saving: Option<(Save, Time)>,
     save_ns: u64,
@@ -43,8 +42,8 @@ impl Memory {
         Memory {
             parameters: Parameters::new(plan),
             log: ErrorLog::default(),
-            curves: Curves::default(),
-            table: Tables::default(),
+            curves: Store::curves(),
+            table: Store::table(),
             saving: None,
             save_ns: plan.flash_time_ns,
             mode: plan.flash,

@@ -5,11 +5,12 @@
 //! | file | what |
 //! |---|---|
 //! | `mod` | telegrams: port, master filter, padding, silence |
+//! | `codec` | telegrams, commands, codes and stored objects in bytes |
 //! | `settings` | the properties of a drive, and its state at the start |
 //! | `rtc` | the real-time-config channel: counts, answers, what each command does |
 //! | `upids`, `parameters` | the parameters there are, and their values in ROM, in RAM and in use |
 //! | `log` | the error log |
-//! | `curves`, `table`, `blocks` | curves and command table, and their transfer in blocks |
+//! | `store` | curves and command table entries, and their transfer in blocks |
 //! | `memory` | all of these together, and how they get into flash |
 //! | `machine` | the state machine and the motor; the commands, the running command table, the drive's reports |
 //! | `motion`, `stream`, `time_curve` | how motion commands determine the demand |
@@ -34,9 +35,8 @@
 //! | a restart by power, by 00Fx | answers with both state words 0 until it is up |
 //! | a restart by 30h | the command is answered, then silence until it is up with the stored count 0: sending it on restarts it again |
 
-mod blocks;
+pub mod codec;
 pub(super) mod config;
-mod curves;
 mod demand;
 mod log;
 mod machine;
@@ -45,8 +45,8 @@ mod motion;
 mod parameters;
 mod rtc;
 mod settings;
+mod store;
 mod stream;
-mod table;
 mod time_curve;
 mod upids;
 
@@ -54,12 +54,11 @@ use std::net::{Ipv4Addr, SocketAddrV4};
 
 pub use self::settings::{FlashMode, LinMotSettings, MasterFilter, UnknownCommands};
 
+use self::codec::{MASTER_PORT, RESPONSE_MAX, Report, Request};
 use self::machine::{Machine, Taken};
 use self::rtc::{After, Channel};
 use crate::{FaultPlan, SimBus, SimDrive, Simulated, Truth};
 use fieldbeat_core::time::{MS, Time};
-use fieldbeat_linudp::wire::{ErrorCode, RESPONSE_MAX, Request, Response, StateVar, StatusWord};
-use fieldbeat_linudp::{LinUdpDrive, LinUdpPlan, MASTER_PORT};
 
 /// From power-on until the motion software runs; until then status word and state variable are 0.
 const BOOT_NS: u64 = 100 * MS;
@@ -84,21 +83,6 @@ pub struct Ignored {
 /// The simulated drives of a LinUDP bus.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LinMots(pub Vec<LinMotSettings>);
-
-impl LinMots {
-    /// A drive with default settings for each of the bus.
-    pub fn of(plan: &LinUdpPlan) -> LinMots {
-        LinMots(plan.drives.iter().map(LinMotSettings::of).collect())
-    }
-}
-
-impl LinMotSettings {
-    /// A drive with default settings at the address of `drive`, with its serial number.
-    fn of(drive: &LinUdpDrive) -> LinMotSettings {
-        let serial = drive.serial.map(|serial| (serial.from.0, serial.number.unwrap_or_default()));
-        LinMotSettings { serial, ..LinMotSettings::new(drive.address) }
-    }
-}
 
 impl SimBus for LinMots {
     fn build(&self, to: &mut Simulated) {
@@ -141,7 +125,7 @@ impl LinMotSim {
 
     /// Raises an error of the drive, as if its hardware had: a moving motor is quick-stopped, then state 4. A fatal one
     /// needs a restart.
-    pub fn provoke(&mut self, code: ErrorCode) {
+    pub fn provoke(&mut self, code: u16) {
         self.machine.fail(code);
     }
 
@@ -193,23 +177,13 @@ impl LinMotSim {
     /// The answer, padded, in the image.
     fn answer(&mut self, request: &Request, now: Time) -> &[u8] {
         let machine = &self.machine;
-        let booting = now < self.booted_at;
         let saving = machine.memory.saving_until().is_some();
         let config = request.config.map(|_| self.channel.answer(now, saving));
-        let response = Response {
-            request_def: request.definition(),
-            response_def: request.response_def,
-            status: Some(if booting { StatusWord(0) } else { machine.status() }),
-            state: Some(if booting { StateVar(0) } else { machine.state() }),
-            actual: Some(machine.actual_position()),
-            demand: Some(machine.demand_position()),
-            current: Some(machine.current()),
-            warn: Some(machine.warn()),
-            error: Some(machine.error()),
-            monitor: Some(machine.monitor()),
-            config,
-        };
-        let size = response.emit(&mut self.image).max(self.settings.padding.min(IMAGE));
+        let mut report = Report { config, ..machine.report() };
+        if now < self.booted_at {
+            (report.status, report.state) = (0, 0);
+        }
+        let size = report.write(request.definitions, &mut self.image).max(self.settings.padding.min(IMAGE));
         &self.image[..size]
     }
 }
@@ -235,7 +209,7 @@ impl SimDrive for LinMotSim {
             self.ignored.wrong_port += 1;
             return None;
         }
-        let Ok(request) = Request::parse(bytes) else {
+        let Some(request) = Request::parse(bytes) else {
             self.ignored.malformed += 1;
             return None;
         };

@@ -2,14 +2,13 @@
 //!
 //! Knows no telegram, no command count and no state machine. Positions are in the drive's own coordinates, SI units.
 
+use super::codec::commands::StreamKind;
 use super::demand::{Demand, METRE_PER_S, METRE_PER_S2, Move, Origin, Start, Vad, When};
 use super::settings::LinMotSettings;
 use super::stream::Stream;
 use super::time_curve::TimeCurve;
 use crate::physics::Generator;
 use fieldbeat_core::time::Time;
-use fieldbeat_linudp::StreamCommand;
-use fieldbeat_linudp::wire::ErrorCode;
 
 /// The drive's quick-stop deceleration, m/s2. A parameter in the real drive, whose UPID is not known.
 const QUICK_STOP: f64 = 20.0;
@@ -241,11 +240,11 @@ impl Setpoints {
     /// A streamed setpoint; `configured_ns` is the period that some commands have.
     pub(super) fn take_setpoint(
         &mut self,
-        command: StreamCommand,
+        command: StreamKind,
         now: Time,
         setpoint: Demand,
         configured_ns: u64,
-    ) -> Result<(), ErrorCode> {
+    ) -> Result<(), u16> {
         match &mut self.feed {
             Some(Feed::Stream(stream)) if stream.command == command => stream.push(now, setpoint),
             _ => {
@@ -258,7 +257,7 @@ impl Setpoints {
     }
 
     /// Lets `dt_ns` pass, which end at `now`.
-    pub(super) fn advance(&mut self, now: Time, dt_ns: u64, actual: Demand) -> Result<(), ErrorCode> {
+    pub(super) fn advance(&mut self, now: Time, dt_ns: u64, actual: Demand) -> Result<(), u16> {
         let before = self.generator.position();
         let (demand, ended) = match &mut self.feed {
             Some(Feed::Stream(stream)) => (stream.output(now)?, false),

@@ -11,11 +11,10 @@
 //! The manuals state the first two. The third is chosen: RAM of a parameter that is not live can be written, and
 //! then it has to take effect at some time.
 
+use super::codec::channel::{Refusal, command, usage};
 use super::settings::LinMotSettings;
 use super::upids::{self, PARAMETERS, Parameter};
 use fieldbeat_core::time::US;
-use fieldbeat_linudp::upid::Usage;
-use fieldbeat_linudp::wire::Refusal;
 
 /// The values of one parameter.
 #[derive(Clone, Copy, Debug)]
@@ -24,25 +23,6 @@ struct Value {
     ram: i64,
     /// The value in use by the software.
     used: i64,
-}
-
-/// One of the limits of a parameter.
-#[derive(Clone, Copy, Debug)]
-pub(super) enum Bound {
-    Minimum,
-    Maximum,
-    Default,
-}
-
-/// One of the four parts of the software, each with its own UPIDs: their highest digit.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Part(pub u16);
-
-impl Part {
-    pub(super) const OS: Part = Part(0x0);
-    pub(super) const MC: Part = Part(0x1);
-    pub(super) const INTERFACE: Part = Part(0x2);
-    pub(super) const APPLICATION: Part = Part(0x3);
 }
 
 /// The values of all parameters, in the order of [`PARAMETERS`].
@@ -77,7 +57,7 @@ impl Parameters {
     pub(super) fn load(&mut self) {
         for (value, parameter) in self.values.iter_mut().zip(PARAMETERS) {
             value.ram = value.rom;
-            if !parameter.usage.has(Usage::ROM_READ) {
+            if !parameter.has(usage::ROM_READ) {
                 value.ram = parameter.default;
             }
         }
@@ -108,38 +88,36 @@ impl Parameters {
 
     /// The value in ROM.
     pub(super) fn rom(&self, upid: u16) -> Result<u32, Refusal> {
-        let index = allowed(upid, Usage::ROM_READ)?;
+        let index = allowed(upid, usage::ROM_READ)?;
         Ok(self.wire(index, self.values[index].rom))
     }
 
-    /// A limit, or the default that a variable does not have.
-    pub(super) fn bound(&self, upid: u16, bound: Bound) -> Result<u32, Refusal> {
-        let index = upids::find(upid).ok_or(Refusal::NoSuchUpid)?;
-        let parameter = &PARAMETERS[index];
+    /// The limit that a command reads, or the default, which a variable does not have.
+    pub(super) fn bound(&self, upid: u16, read: u8) -> Result<u32, Refusal> {
+        let has = if read == command::READ_DEFAULT { usage::ROM_READ } else { 0 };
+        let index = allowed(upid, has)?;
+        let Parameter { low, high, default, .. } = PARAMETERS[index];
         Ok(self.wire(
             index,
-            match bound {
-                Bound::Minimum => parameter.low,
-                Bound::Maximum => parameter.high,
-                Bound::Default => {
-                    allowed(upid, Usage::ROM_READ)?;
-                    parameter.default
-                }
+            match read {
+                command::READ_MINIMUM => low,
+                command::READ_MAXIMUM => high,
+                _ => default,
             },
         ))
     }
 
     /// A value of the parameter at this index, in wire form.
     pub(super) fn wire(&self, index: usize, value: i64) -> u32 {
-        PARAMETERS[index].kind.raw(value, self.extend)
+        PARAMETERS[index].kind.to_wire(value, self.extend)
     }
 
     /// Writes RAM.
     pub(super) fn write_ram(&mut self, upid: u16, raw: u32) -> Result<(), Refusal> {
-        let value = check(upid, raw, Usage::RAM_WRITE)?;
+        let value = check(upid, raw, usage::RAM_WRITE)?;
         if let Some((parameter, values)) = self.entry(upid) {
             values.ram = value;
-            if parameter.usage.has(Usage::LIVE) {
+            if parameter.has(usage::LIVE) {
                 values.used = value;
             }
         }
@@ -148,7 +126,7 @@ impl Parameters {
 
     /// Writes ROM.
     pub(super) fn write_rom(&mut self, upid: u16, raw: u32) -> Result<(), Refusal> {
-        let value = check(upid, raw, Usage::ROM_WRITE)?;
+        let value = check(upid, raw, usage::ROM_WRITE)?;
         if let Some((_, values)) = self.entry(upid) {
             values.rom = value;
         }
@@ -156,9 +134,9 @@ impl Parameters {
     }
 
     /// ROM of one part of the software to its defaults.
-    pub(super) fn restore(&mut self, part: Part) {
+    pub(super) fn restore(&mut self, part: u16) {
         for (value, parameter) in self.values.iter_mut().zip(PARAMETERS) {
-            if parameter.upid >> 12 == part.0 {
+            if parameter.upid >> 12 == part {
                 value.rom = parameter.default;
             }
         }
@@ -168,7 +146,7 @@ impl Parameters {
     pub(super) fn modified_from(&self, upid: u16) -> Option<(u16, u32)> {
         let index = (upids::from(upid)..PARAMETERS.len()).find(|index| {
             let parameter = &PARAMETERS[*index];
-            parameter.usage.has(Usage::ROM_READ) && self.values[*index].rom != parameter.default
+            parameter.has(usage::ROM_READ) && self.values[*index].rom != parameter.default
         })?;
         Some((PARAMETERS[index].upid, self.wire(index, self.values[index].rom)))
     }
@@ -185,13 +163,13 @@ impl Parameters {
 /// The index of `upid`, if it can be used like this.
 pub(super) fn allowed(upid: u16, usage: u16) -> Result<usize, Refusal> {
     let index = upids::find(upid).ok_or(Refusal::NoSuchUpid)?;
-    if PARAMETERS[index].usage.has(usage) { Ok(index) } else { Err(Refusal::AddressUsage) }
+    if PARAMETERS[index].has(usage) { Ok(index) } else { Err(Refusal::AddressUsage) }
 }
 
 /// The number to be written, if it is allowed. Usage first, then type, then range.
 pub(super) fn check(upid: u16, raw: u32, usage: u16) -> Result<i64, Refusal> {
     let parameter = &PARAMETERS[allowed(upid, usage)?];
-    let value = parameter.kind.strict_number(raw).ok_or(Refusal::WrongType)?;
+    let value = parameter.kind.from_wire(raw).ok_or(Refusal::WrongType)?;
     // A channel can report an existing parameter, or nothing.
     let is_source = (upids::MONITOR_SOURCE..upids::MONITOR_SOURCE + 4).contains(&upid);
     let shown =

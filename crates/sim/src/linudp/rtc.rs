@@ -19,14 +19,14 @@
 //! | 30h | 00h at once, then the drive starts anew and is silent until it has |
 //! | a save, or a write into ROM | its own telegram is answered (02h); a drive that saves silently receives nothing after it |
 
+use super::codec::channel::{ConfigBlock, Refusal, command as C, status, usage};
+use super::codec::stored::INFO_SIZE;
+use super::log;
 use super::machine::Machine;
 use super::memory::Save;
-use super::parameters::{Bound, Part, allowed, check};
+use super::parameters::{allowed, check};
 use super::upids::{PARAMETERS, from};
-use super::{log, parameters};
 use fieldbeat_core::time::Time;
-use fieldbeat_linudp::upid::Usage;
-use fieldbeat_linudp::wire::{ErrorCode, Refusal, RtcBlock, RtcCommand, RtcStatus};
 
 /// What follows a command after its telegram has been answered.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -37,30 +37,18 @@ pub(super) enum After {
     Silence,
 }
 
-/// The answer to a command that was not refused.
-pub(super) struct Reply {
-    code: u8,
-    words: [u16; 3],
+/// The answer to a command that was not refused: status and words.
+type Reply = (u8, [u16; 3]);
+
+/// Done, with an index and a value.
+const fn value(index: u16, value: u32) -> Reply {
+    (status::DONE, [index, value as u16, (value >> 16) as u16])
 }
 
-impl Reply {
-    const DONE: Reply = Reply { code: RtcStatus::DONE, words: [0; 3] };
-
-    /// Done, with these words.
-    pub(super) const fn words(words: [u16; 3]) -> Reply {
-        Reply { code: RtcStatus::DONE, words }
-    }
-
-    /// Done, with an index and a value.
-    pub(super) const fn value(index: u16, value: u32) -> Reply {
-        Reply::words([index, value as u16, (value >> 16) as u16])
-    }
-
-    /// A block of something longer, and whether it is the last one.
-    pub(super) const fn block(index: u16, bytes: [u8; 4], last: bool) -> Reply {
-        let code = if last { RtcStatus::DONE } else { RtcStatus::BLOCK_NOT_FINISHED };
-        Reply { code, ..Reply::value(index, u32::from_le_bytes(bytes)) }
-    }
+/// A block of something longer, and whether it is the last one.
+const fn block(index: u16, (bytes, is_last): ([u8; 4], bool)) -> Reply {
+    let (_, words) = value(index, u32::from_le_bytes(bytes));
+    (if is_last { status::DONE } else { status::BLOCK_NOT_FINISHED }, words)
 }
 
 /// The list that is being read, and its next item.
@@ -73,10 +61,10 @@ enum List {
 }
 
 /// The channel's state.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(super) struct Channel {
     /// The last answer, with its count.
-    answer: RtcBlock,
+    answer: ConfigBlock,
     /// The words of the one before it.
     before: [u16; 3],
     /// The answer is not given before then.
@@ -91,32 +79,23 @@ pub(super) struct Channel {
 impl Channel {
     /// As after a restart: the stored count is 0.
     pub(super) fn new(duration_ns: u64) -> Channel {
-        Channel {
-            answer: RtcBlock::default(),
-            before: [0; 3],
-            busy_until: Time(0),
-            polled: false,
-            list: None,
-            duration_ns,
-        }
+        Channel { duration_ns, ..Channel::default() }
     }
 
     /// Takes in a block, and runs its command if its count is new.
-    pub(super) fn take(&mut self, block: &RtcBlock, machine: &mut Machine, now: Time) -> After {
-        if now < self.busy_until || block.count() == self.answer.count() {
+    pub(super) fn take(&mut self, request: &ConfigBlock, machine: &mut Machine, now: Time) -> After {
+        if now < self.busy_until || request.count == self.answer.count {
             return After::Nothing;
         }
-        let (words, code) = match self.run(block, machine, now) {
-            Ok(reply) => (reply.words, reply.code),
-            Err(refusal) => ([block.index(), 0, 0], refusal.code()),
-        };
+        let result = self.run(request, machine, now);
+        let (code, words) = result.unwrap_or_else(|refusal| (refusal as u8, [request.words[0], 0, 0]));
         if machine.memory.is_mute() {
             return After::Silence;
         }
         self.before = self.answer.words;
-        self.answer = RtcBlock { words, ..RtcBlock::answer(block.count(), code) };
+        self.answer = ConfigBlock { count: request.count, code, words };
         self.polled = false;
-        if RtcCommand(block.code) == RtcCommand::RESTART {
+        if request.code == C::RESTART {
             self.busy_until = now;
             return After::Restart;
         }
@@ -125,165 +104,133 @@ impl Channel {
     }
 
     /// The drive's present answer; `saving`: it writes into its flash.
-    pub(super) fn answer(&mut self, now: Time, saving: bool) -> RtcBlock {
+    pub(super) fn answer(&mut self, now: Time, saving: bool) -> ConfigBlock {
         if now >= self.busy_until {
             return self.answer;
         }
         self.polled = !self.polled;
-        let code = if saving || self.polled { RtcStatus::RUNNING } else { RtcStatus::BUSY };
-        RtcBlock { words: self.before, code, ..self.answer }
+        let code = if saving || self.polled { status::RUNNING } else { status::BUSY };
+        ConfigBlock { words: self.before, code, ..self.answer }
     }
 
-    fn run(&mut self, block: &RtcBlock, machine: &mut Machine, now: Time) -> Result<Reply, Refusal> {
-        use RtcCommand as C;
-        let (index, value) = (block.index(), block.value());
-        let bytes = value.to_le_bytes();
-        let stopped = machine.is_stopped();
-        let serial = machine.serial(index);
+    fn run(&mut self, request: &ConfigBlock, machine: &mut Machine, now: Time) -> Result<Reply, Refusal> {
+        let ConfigBlock { code, words, .. } = *request;
+        let (index, raw) = (words[0], request.value());
+        let bytes = raw.to_le_bytes();
+        let is_stopped = machine.is_stopped();
         let memory = &mut machine.memory;
-        match RtcCommand(block.code) {
+        match code {
             C::NO_OPERATION | C::RESTART => {}
-            C::READ_ROM => return Ok(Reply::value(index, memory.parameters.rom(index)?)),
-            C::READ_RAM if serial.is_some() => {
-                return Ok(Reply::value(index, serial.unwrap_or_default()));
-            }
+            C::READ_ROM => return Ok(value(index, memory.parameters.rom(index)?)),
             C::READ_RAM => {
-                return Ok(Reply::value(index, machine.read(allowed(index, Usage::RAM_READ)?)));
+                let serial = machine.serial(index).ok_or(());
+                return Ok(value(
+                    index,
+                    serial.or_else(|()| allowed(index, usage::RAM_READ).map(|at| machine.read(at)))?,
+                ));
             }
-            C::WRITE_ROM => {
-                check(index, value, Usage::ROM_WRITE)?;
-                memory.save(Save::Parameter(index, value), now);
-                return Ok(Reply::value(index, value));
+            C::WRITE_ROM | C::WRITE_RAM | C::WRITE_BOTH => {
+                let rom = if code == C::WRITE_RAM { 0 } else { usage::ROM_WRITE };
+                let ram = if code == C::WRITE_ROM { 0 } else { usage::RAM_WRITE };
+                check(index, raw, rom | ram)?;
+                if rom != 0 {
+                    memory.save(Save::Parameter(index, raw), now);
+                }
+                if ram != 0 {
+                    machine.write(index, raw)?;
+                }
+                return Ok(value(index, raw));
             }
-            C::WRITE_RAM => {
-                machine.write(index, value)?;
-                return Ok(Reply::value(index, value));
+            C::READ_MINIMUM | C::READ_MAXIMUM | C::READ_DEFAULT => {
+                return Ok(value(index, memory.parameters.bound(index, code)?));
             }
-            C::WRITE_BOTH => {
-                check(index, value, Usage::ROM_WRITE | Usage::RAM_WRITE)?;
-                memory.save(Save::Parameter(index, value), now);
-                machine.write(index, value)?;
-                return Ok(Reply::value(index, value));
-            }
-            C::READ_MINIMUM => return bound(&memory.parameters, index, Bound::Minimum),
-            C::READ_MAXIMUM => return bound(&memory.parameters, index, Bound::Maximum),
-            C::READ_DEFAULT => return bound(&memory.parameters, index, Bound::Default),
 
             C::START_LIST => self.list = Some(List::All(from(index))),
             C::NEXT_ITEM => {
                 let Some(List::All(next)) = &mut self.list else { return Err(Refusal::ListNotStarted) };
                 let parameter = PARAMETERS.get(*next).ok_or(Refusal::EndOfList)?;
                 *next += 1;
-                return Ok(Reply::words([parameter.upid, parameter.usage.0, 0]));
+                return Ok((status::DONE, [parameter.upid, parameter.usage, 0]));
             }
             C::START_MODIFIED_LIST => self.list = Some(List::Modified(Some(index))),
             C::NEXT_MODIFIED_ITEM => {
                 let Some(List::Modified(next)) = &mut self.list else { return Err(Refusal::ListNotStarted) };
                 let found = next.and_then(|next| memory.parameters.modified_from(next));
                 *next = found.and_then(|(upid, _)| upid.checked_add(1));
-                let (upid, value) = found.ok_or(Refusal::EndOfList)?;
-                return Ok(Reply::value(upid, value));
+                let (upid, rom) = found.ok_or(Refusal::EndOfList)?;
+                return Ok(value(upid, rom));
             }
 
-            C::DEFAULT_OS
-            | C::DEFAULT_MC
-            | C::DEFAULT_INTERFACE
-            | C::DEFAULT_APPLICATION
-            | C::SAVE_CURVES
-            | C::SAVE_TABLE
-                if !stopped =>
-            {
+            C::DEFAULT_OS..=C::DEFAULT_APPLICATION | C::SAVE_CURVES | C::SAVE_TABLE if !is_stopped => {
                 return Err(Refusal::SoftwareRuns);
             }
-            C::DEFAULT_OS => memory.save(Save::Defaults(Part::OS), now),
-            C::DEFAULT_MC => memory.save(Save::Defaults(Part::MC), now),
-            C::DEFAULT_INTERFACE => memory.save(Save::Defaults(Part::INTERFACE), now),
-            C::DEFAULT_APPLICATION => memory.save(Save::Defaults(Part::APPLICATION), now),
+            C::DEFAULT_OS..=C::DEFAULT_APPLICATION => {
+                memory.save(Save::Defaults(u16::from(code - C::DEFAULT_OS)), now);
+            }
             C::STOP_SOFTWARE => machine.stop_software(),
             C::START_SOFTWARE => machine.start_software(),
 
             C::SAVE_CURVES => memory.save(Save::Curves, now),
             C::DELETE_CURVES => memory.curves.delete_all(),
             C::ADD_CURVE | C::MODIFY_CURVE => {
-                let [_, info, data] = block.words;
-                let modify = block.code == C::MODIFY_CURVE.0;
-                memory.curves.begin(index, info, data, modify)?;
-                return Ok(Reply::words(block.words));
+                memory.curves.begin_curve(index, words[1], words[2], code == C::MODIFY_CURVE)?;
+                return Ok((status::DONE, words));
             }
-            C::ADD_CURVE_INFO | C::MODIFY_CURVE_INFO => {
-                let modify = block.code == C::MODIFY_CURVE_INFO.0;
-                let last = memory.curves.put_info(index, bytes, modify)?;
-                return Ok(Reply::block(index, bytes, last));
-            }
-            C::ADD_CURVE_DATA | C::MODIFY_CURVE_DATA => {
-                let modify = block.code == C::MODIFY_CURVE_DATA.0;
-                let last = memory.curves.put_data(index, bytes, modify)?;
-                return Ok(Reply::block(index, bytes, last));
+            C::ADD_CURVE_INFO | C::ADD_CURVE_DATA | C::MODIFY_CURVE_INFO | C::MODIFY_CURVE_DATA => {
+                let is_data = matches!(code, C::ADD_CURVE_DATA | C::MODIFY_CURVE_DATA);
+                let is_last = memory.curves.put(index, code >= C::MODIFY_CURVE, is_data, bytes)?;
+                return Ok(block(index, (bytes, is_last)));
             }
             C::GET_CURVE => {
-                let (info, data) = memory.curves.open(index)?;
-                return Ok(Reply::words([index, info, data]));
+                let size = memory.curves.open(index).ok_or(Refusal::CurveDefinition)?;
+                return Ok((status::DONE, [index, INFO_SIZE as u16, size]));
             }
-            C::GET_CURVE_INFO => {
-                let (bytes, last) = memory.curves.next_info(index)?;
-                return Ok(Reply::block(index, bytes, last));
-            }
-            C::GET_CURVE_DATA => {
-                let (bytes, last) = memory.curves.next_data(index)?;
-                return Ok(Reply::block(index, bytes, last));
+            C::GET_CURVE_INFO | C::GET_CURVE_DATA => {
+                return Ok(block(index, memory.curves.take(index, code == C::GET_CURVE_DATA)?));
             }
 
             C::ERROR_COUNTERS => {
                 let (logged, occurred) = memory.log.counters();
-                return Ok(Reply::words([0, logged, occurred]));
+                return Ok((status::DONE, [0, logged, occurred]));
             }
             C::ERROR_CODE | C::ERROR_TIME_LOW | C::ERROR_TIME_HIGH => {
                 let entry = memory.log.entry(index).ok_or(Refusal::OutOfRange)?;
-                return Ok(match RtcCommand(block.code) {
-                    C::ERROR_CODE => Reply::value(index, entry.code.0.into()),
-                    C::ERROR_TIME_LOW => Reply::value(index, entry.ms),
-                    _ => Reply::value(index, entry.hours),
+                return Ok(match code {
+                    C::ERROR_CODE => value(index, entry.code.into()),
+                    C::ERROR_TIME_LOW => value(index, entry.ms),
+                    _ => value(index, entry.hours),
                 });
             }
             C::ERROR_TEXT => {
-                let part = block.words[1];
-                let text = log::text(ErrorCode(index), part).ok_or(Refusal::OutOfRange)?;
-                return Ok(Reply::value(index, u32::from_le_bytes(text)));
+                let text = log::text(index, words[1]).ok_or(Refusal::OutOfRange)?;
+                return Ok(block(index, (text, true)));
             }
 
             C::SAVE_TABLE => memory.save(Save::Table, now),
             C::DELETE_TABLE => memory.table.delete_all(),
             C::DELETE_ENTRY => {
-                memory.table.delete(index)?;
-                return Ok(Reply::words([index, 0, 0]));
+                memory.table.delete_entry(index)?;
+                return Ok(value(index, 0));
             }
             C::WRITE_ENTRY => {
-                let size = block.words[1];
-                memory.table.begin(index, size)?;
-                return Ok(Reply::words([index, size, 0]));
+                memory.table.begin_entry(index, words[1])?;
+                return Ok(value(index, words[1].into()));
             }
             C::WRITE_ENTRY_DATA => {
-                let last = memory.table.put(index, bytes)?;
-                return Ok(Reply::block(index, bytes, last));
+                let is_last = memory.table.put(index, false, true, bytes)?;
+                return Ok(block(index, (bytes, is_last)));
             }
             C::GET_ENTRY => {
-                let size = memory.table.open(index)?;
-                return Ok(Reply::words([index, size, 0]));
+                let size = memory.table.open(index).ok_or(Refusal::WrongSize)?;
+                return Ok(value(index, size.into()));
             }
-            C::GET_ENTRY_DATA => {
-                let (bytes, last) = memory.table.next(index)?;
-                return Ok(Reply::block(index, bytes, last));
-            }
-            C(code @ 0x87..=0x8E) => {
-                let group = u16::from(code - C::PRESENCE_0.0);
-                return Ok(Reply::value(group * 4, !memory.table.used(group)));
+            C::GET_ENTRY_DATA => return Ok(block(index, memory.table.take(index, true)?)),
+            C::PRESENCE..=C::LAST_PRESENCE => {
+                let group = u16::from(code - C::PRESENCE);
+                return Ok(value(group * 4, !memory.table.used(group)));
             }
             _ => return Err(Refusal::NoSuchUpid),
         }
-        Ok(Reply::DONE)
+        Ok((status::DONE, [0; 3]))
     }
-}
-
-fn bound(parameters: &parameters::Parameters, upid: u16, bound: Bound) -> Result<Reply, Refusal> {
-    Ok(Reply::value(upid, parameters.bound(upid, bound)?))
 }

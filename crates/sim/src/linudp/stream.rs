@@ -4,10 +4,10 @@
 
 use std::collections::VecDeque;
 
+use super::codec::commands::StreamKind;
+use super::codec::errors;
 use super::demand::Demand;
 use fieldbeat_core::time::{S, Time};
-use fieldbeat_linudp::StreamCommand;
-use fieldbeat_linudp::wire::ErrorCode;
 
 /// How far the first interval may lie outside the period range of its command, in parts of 1: a real network jitters.
 const PERIOD_TOLERANCE: f64 = 0.25;
@@ -16,7 +16,7 @@ const PERIOD_TOLERANCE: f64 = 0.25;
 /// interpolates: straight lines between bare positions, cubics where the velocity is given too.
 #[derive(Debug)]
 pub(super) struct Stream {
-    pub command: StreamCommand,
+    pub command: StreamKind,
     /// Set by the first two commands, or configured.
     nominal_ns: Option<u64>,
     /// So many periods of silence are an underflow.
@@ -39,12 +39,12 @@ struct Point {
 impl Stream {
     /// The first setpoint.
     pub(super) fn begin(
-        command: StreamCommand,
+        command: StreamKind,
         now: Time,
         demand: Demand,
         configured_ns: u64,
         (patience, depth): (f64, usize),
-    ) -> Result<Stream, ErrorCode> {
+    ) -> Result<Stream, u16> {
         let nominal_ns = command.has_configured_period().then_some(configured_ns);
         if let Some(period_ns) = nominal_ns {
             check_period(command, period_ns)?;
@@ -55,7 +55,7 @@ impl Stream {
     }
 
     /// The next setpoint.
-    pub(super) fn push(&mut self, now: Time, mut demand: Demand) -> Result<(), ErrorCode> {
+    pub(super) fn push(&mut self, now: Time, mut demand: Demand) -> Result<(), u16> {
         let Some(last) = self.points.back().copied() else { return Ok(()) };
         let nominal_ns = match self.nominal_ns {
             Some(nominal_ns) => nominal_ns,
@@ -82,7 +82,7 @@ impl Stream {
         self.pass(now - (nominal_ns + nominal_ns / 2));
         // The front one has been reached.
         if self.points.len() > self.depth + 1 {
-            return Err(ErrorCode::STREAM_OVERFLOW);
+            return Err(errors::STREAM_OVERFLOW);
         }
         Ok(())
     }
@@ -95,14 +95,14 @@ impl Stream {
     }
 
     /// The demand at `now`; `None` before the first setpoint is due.
-    pub(super) fn output(&mut self, now: Time) -> Result<Option<Demand>, ErrorCode> {
+    pub(super) fn output(&mut self, now: Time) -> Result<Option<Demand>, u16> {
         let silent_ns = now.since(self.received_at);
         let Some(nominal_ns) = self.nominal_ns else {
             let (_, longest_ns) = tolerated(self.command);
-            return if silent_ns > longest_ns { Err(ErrorCode::STREAM_TOO_SLOW) } else { Ok(None) };
+            return if silent_ns > longest_ns { Err(errors::STREAM_TOO_SLOW) } else { Ok(None) };
         };
         if silent_ns as f64 > nominal_ns as f64 * self.patience {
-            return Err(ErrorCode::STREAM_UNDERFLOW);
+            return Err(errors::STREAM_UNDERFLOW);
         }
         let at = now - (nominal_ns + nominal_ns / 2);
         self.pass(at);
@@ -129,17 +129,17 @@ fn seconds(ns: u64) -> f64 {
 }
 
 /// The shortest and longest first interval that a drive accepts, ns.
-fn tolerated(command: StreamCommand) -> (u64, u64) {
-    let (shortest, longest) = command.period_range_ns();
+fn tolerated(command: StreamKind) -> (u64, u64) {
+    let (shortest, longest) = command.periods_ns();
     ((shortest as f64 * (1.0 - PERIOD_TOLERANCE)) as u64, (longest as f64 * (1.0 + PERIOD_TOLERANCE)) as u64)
 }
 
-fn check_period(command: StreamCommand, period_ns: u64) -> Result<(), ErrorCode> {
+fn check_period(command: StreamKind, period_ns: u64) -> Result<(), u16> {
     let (shortest, longest) = tolerated(command);
     if period_ns < shortest {
-        Err(ErrorCode::STREAM_TOO_FAST)
+        Err(errors::STREAM_TOO_FAST)
     } else if period_ns > longest {
-        Err(ErrorCode::STREAM_TOO_SLOW)
+        Err(errors::STREAM_TOO_SLOW)
     } else {
         Ok(())
     }

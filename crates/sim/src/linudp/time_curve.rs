@@ -7,15 +7,10 @@
 //! stretch it so that it begins at the motor's position. A time scale of 200 % takes twice the time. Amplitudes
 //! beyond 2000 %, including those that "to target" would need, and time scales beyond 200 % are error 0089h.
 
-use std::sync::Arc;
-
+use super::codec::errors::CURVE_SCALE;
+use super::codec::stored::Curve;
 use super::demand::{Demand, METRE};
 use fieldbeat_core::time::{S, US};
-use fieldbeat_linudp::curve::Curve;
-use fieldbeat_linudp::wire::ErrorCode;
-
-/// 0089h: a scale of a curve that is out of its range.
-const CURVE_SCALE: ErrorCode = ErrorCode(0x0089);
 
 /// One count of a curve's time, ns.
 const TIME_NS: u64 = 10 * US;
@@ -27,7 +22,7 @@ const TIME_SCALE: f64 = 2.0;
 /// A running curve.
 #[derive(Debug)]
 pub(super) struct TimeCurve {
-    curve: Arc<Curve>,
+    curve: Curve,
     /// Position = offset + gain x setpoint; m, and m in a count.
     offset: f64,
     gain: f64,
@@ -38,14 +33,14 @@ pub(super) struct TimeCurve {
 impl TimeCurve {
     /// `curve` as command 04`sub`x stretches it with its fields, for a motor at `position`.
     pub(super) fn new(
-        curve: Arc<Curve>,
+        curve: Curve,
         sub: u16,
         [a, b, c, _]: [i64; 4],
         position: f64,
-    ) -> Result<TimeCurve, ErrorCode> {
-        let own_ns = u64::from(curve.x_length) * TIME_NS;
+    ) -> Result<TimeCurve, u16> {
+        let own_ns = u64::from(curve.length) * TIME_NS;
         let time_ns = |time: i64| u64::try_from(time).unwrap_or(0) * TIME_NS;
-        let (first, last) = (curve.position_at(0.0), curve.position_at(f64::INFINITY));
+        let (first, last) = (curve.position_at(0.0), curve.position_at(1.0));
         // Through the position now, and through the target at the end.
         let through = |target: i64| {
             let amplitude = (target as f64 - position / METRE) / (last - first);
@@ -90,12 +85,12 @@ impl TimeCurve {
     }
 
     fn position(&self) -> f64 {
-        let x = if self.elapsed_ns == self.duration_ns {
-            // Even if it takes no time at all.
-            f64::INFINITY
+        // At its end even if it takes no time at all.
+        let share = if self.elapsed_ns == self.duration_ns {
+            1.0
         } else {
-            f64::from(self.curve.x_length) * (self.elapsed_ns as f64 / self.duration_ns as f64)
+            self.elapsed_ns as f64 / self.duration_ns as f64
         };
-        self.offset + self.gain * self.curve.position_at(x)
+        self.offset + self.gain * self.curve.position_at(share)
     }
 }

@@ -6,7 +6,7 @@
 //! of 0082h, 1BCDh, 1BCEh, 1BF3h and 1CAFh are known. Which parameters are live is chosen, too: those that a master
 //! sets up or changes in operation are, those that describe the machine are not.
 
-use fieldbeat_linudp::upid::{Type, Usage};
+use super::codec::channel::{Type, usage};
 
 /// A value that the drive computes whenever it is read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -28,7 +28,7 @@ pub(super) enum Variable {
 }
 
 /// A parameter without access restrictions.
-const CONFIG: u16 = Usage::RAM_READ | Usage::RAM_WRITE | Usage::ROM_READ | Usage::ROM_WRITE;
+const CONFIG: u16 = usage::RAM_READ | usage::RAM_WRITE | usage::ROM_READ | usage::ROM_WRITE;
 
 /// One UPID.
 #[derive(Clone, Copy, Debug)]
@@ -38,35 +38,40 @@ pub(super) struct Parameter {
     pub low: i64,
     pub high: i64,
     pub default: i64,
-    pub usage: Usage,
+    pub usage: u16,
     /// The source of the value, if it is not a stored one.
     pub variable: Option<Variable>,
 }
 
 impl Parameter {
+    /// Can be used like this.
+    pub(super) fn has(&self, usage: u16) -> bool {
+        self.usage & usage == usage
+    }
+
     /// A parameter that takes effect at the next start of the software.
     const fn config(upid: u16, kind: Type, limits: (i64, i64), default: i64) -> Parameter {
         let (low, high) = limits;
-        Parameter { upid, kind, low, high, default, usage: Usage(CONFIG), variable: None }
+        Parameter { upid, kind, low, high, default, usage: CONFIG, variable: None }
     }
 
     /// A parameter that takes effect at once.
     const fn live(upid: u16, kind: Type, limits: (i64, i64), default: i64) -> Parameter {
-        let usage = Usage(CONFIG | Usage::LIVE);
+        let usage = CONFIG | usage::LIVE;
         Parameter { usage, ..Parameter::config(upid, kind, limits, default) }
     }
 
     /// A fixed text, four bytes of it.
     const fn text(upid: u16, text: [u8; 4]) -> Parameter {
-        let usage = Usage(Usage::RAM_READ | Usage::ROM_READ | Usage::NOT_HASHED);
+        let usage = usage::RAM_READ | usage::ROM_READ | usage::NOT_HASHED;
         let default = u32::from_le_bytes(text) as i64;
-        Parameter { usage, ..Parameter::config(upid, Type::Text, Type::Text.range(), default) }
+        Parameter { usage, ..Parameter::config(upid, Type::Stringlet, Type::Stringlet.range(), default) }
     }
 
     /// A value that the drive computes; in RAM only, and not writable from outside.
     const fn variable(upid: u16, kind: Type, variable: Variable) -> Parameter {
         Parameter {
-            usage: Usage(Usage::RAM_READ | Usage::NOT_HASHED),
+            usage: usage::RAM_READ | usage::NOT_HASHED,
             variable: Some(variable),
             ..Parameter::config(upid, kind, kind.range(), 0)
         }
@@ -74,7 +79,7 @@ impl Parameter {
 
     /// A value in RAM that every client may write.
     const fn scratch(upid: u16, kind: Type) -> Parameter {
-        let usage = Usage(Usage::RAM_READ | Usage::RAM_WRITE | Usage::LIVE | Usage::NOT_HASHED);
+        let usage = usage::RAM_READ | usage::RAM_WRITE | usage::LIVE | usage::NOT_HASHED;
         Parameter { usage, ..Parameter::config(upid, kind, kind.range(), 0) }
     }
 }
@@ -216,18 +221,4 @@ pub(super) fn from(upid: u16) -> usize {
 pub(super) fn find(upid: u16) -> Option<usize> {
     let index = from(upid);
     PARAMETERS.get(index).is_some_and(|parameter| parameter.upid == upid).then_some(index)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use fieldbeat_linudp::upid::KNOWN;
-
-    #[test]
-    fn what_is_known_by_name_is_there_with_the_same_type() {
-        for known in KNOWN {
-            let kind = find(known.upid.0).map(|index| PARAMETERS[index].kind);
-            assert_eq!(kind, Some(known.kind), "{}", known.name);
-        }
-    }
 }

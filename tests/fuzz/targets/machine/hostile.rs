@@ -152,7 +152,7 @@ impl SimDrive for HostileDrive {
     ) -> Option<SocketAddrV4> {
         let mut script = self.script.lock().unwrap();
         if let Some(code) = script.provoke.take() {
-            self.drive.provoke(code);
+            self.drive.provoke(code.0);
         }
         if let Some(motion) = Request::parse(bytes).ok().and_then(|request| request.motion) {
             self.heard = (motion.header & 0xF) as u8;

@@ -1,9 +1,10 @@
 //! What a motion command is: its family, its fields, what it moves and what the controller holds then.
 
+use super::super::codec::Motion;
+use super::super::codec::commands::{FIELDS, layout, values, width};
 use super::super::demand::When;
 use super::NEWTON_PER_AMPERE;
 use fieldbeat_core::time::Time;
-use fieldbeat_linudp::motion::{CommandInfo, FIELDS, Kind, MotionCommand};
 
 /// The result of a motion command.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -28,34 +29,35 @@ pub(super) enum Effort {
 /// A command as the drive reads it: its family, its number in that, and its fields.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Command {
-    /// No family has this number if the manual does not list the command.
+    /// No family has this number if the drive does not know the command.
     pub family: u16,
     pub sub: u16,
-    info: Option<&'static CommandInfo>,
+    layout: &'static str,
     parameters: [u8; 30],
 }
 
 impl Command {
-    pub(super) fn of(MotionCommand { id, parameters }: MotionCommand) -> Command {
-        let info = CommandInfo::of(id);
-        Command { family: info.map_or(u16::MAX, |_| id >> 4), sub: id & 0xF, info, parameters }
+    pub(super) fn of(motion: Motion) -> Command {
+        let (id, layout) = (motion.id(), layout(motion.id()));
+        let family = layout.map_or(u16::MAX, |_| id >> 4);
+        Command { family, sub: id & 0xF, layout: layout.unwrap_or_default(), parameters: motion.parameters }
     }
 
-    /// The wire integers of its fields. Each is inside the integer type of its field; some may be out of their range,
-    /// since a drive has to take what comes.
+    /// The numbers in its fields. Some may be out of their range, since a drive has to take what comes.
     pub(super) fn values(&self) -> [i64; FIELDS] {
-        self.info.map_or([0; FIELDS], |info| info.values(&self.parameters))
+        values(self.layout, &self.parameters)
     }
 
-    /// The fields of one of these kinds.
-    pub(super) fn fields_of(&self, kinds: [Kind; 2]) -> impl Iterator<Item = i64> {
-        let fields = self.info.map_or(&[][..], |info| info.fields).iter();
-        fields.filter(move |field| kinds.contains(&field.kind)).map(|field| field.read(&self.parameters))
+    /// Those of the fields with one of these letters.
+    pub(super) fn fields(&self, letters: [char; 2]) -> impl Iterator<Item = i64> {
+        let fields = self.layout.chars().zip(self.values());
+        fields.filter(move |(letter, _)| letters.contains(letter)).map(|(_, value)| value)
     }
 
     /// The bytes that it writes into a curve or an entry: those behind its id and the offset.
     pub(super) fn written(&self) -> &[u8] {
-        self.info.and_then(|info| self.parameters.get(4..info.size())).unwrap_or_default()
+        let size: usize = self.layout.chars().map(width).sum();
+        self.parameters.get(4..size).unwrap_or_default()
     }
 
     /// When it begins to move to a position, if it does. Positions mean nothing before homing.

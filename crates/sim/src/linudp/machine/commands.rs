@@ -3,33 +3,34 @@
 //! Commands for which the drive has no hardware, no software key or no known meaning are error 0081h, or nothing if the
 //! plan says so: encoder cams, indexing, winding, force control, analog positions, streams with time stamps.
 
+use super::super::codec::Motion;
+use super::super::codec::commands::StreamKind;
+use super::super::codec::errors;
+use super::super::codec::stored::{ENTRY_SIZE, INFO_SIZE};
 use super::super::demand::{Demand, METRE, METRE_PER_S, METRE_PER_S2, Move, Origin, Start, Vad, When};
 use super::super::settings::UnknownCommands;
+use super::super::store::INFO_BLOCKS;
 use super::super::time_curve::TimeCurve;
 use super::super::upids;
 use super::command::{Command, Effort, Taken};
 use super::settings::RunMode;
 use super::{Machine, Mode, Task};
 use fieldbeat_core::time::Time;
-use fieldbeat_linudp::StreamCommand;
-use fieldbeat_linudp::motion::{Kind, MotionCommand};
-use fieldbeat_linudp::wire::{ControlWord, ErrorCode, MotionBlock};
 
 impl Machine {
     /// Takes in a motion command block.
-    pub(in super::super) fn command(&mut self, block: &MotionBlock, now: Time) -> Taken {
-        let count = (block.header & 0xF) as u8;
-        if count == self.count || self.stopped {
+    pub(in super::super) fn command(&mut self, block: &Motion, now: Time) -> Taken {
+        if block.count() == self.count || self.stopped {
             return Taken::Done;
         }
         // Stored even if the command is refused below.
-        self.count = count;
-        let command = Command::of(MotionCommand { id: block.header >> 4, parameters: block.parameters });
+        self.count = block.count();
+        let command = Command::of(*block);
         match (command.family, command.sub) {
             (0x00, 0x0) => return Taken::Done,
             (0x00, 0xF) => return Taken::Restart,
             (0x00, 0x1) => {
-                self.set_control(ControlWord(command.values()[0] as u16), now);
+                self.set_control(command.values()[0] as u16, now);
                 return Taken::Done;
             }
             _ => {}
@@ -45,15 +46,15 @@ impl Machine {
                     self.fail(code);
                 }
             }
-            _ => self.fail(ErrorCode::WRONG_STATE),
+            _ => self.fail(errors::WRONG_STATE),
         }
         Taken::Done
     }
 
     /// Runs a command in state 8, from the bus or from the command table.
-    pub(super) fn execute(&mut self, command: &Command, now: Time) -> Result<(), ErrorCode> {
+    pub(super) fn execute(&mut self, command: &Command, now: Time) -> Result<(), u16> {
         if command.moves().is_some() && !self.power.homed {
-            return Err(ErrorCode::NOT_HOMED);
+            return Err(errors::NOT_HOMED);
         }
         let effort = command.effort();
         if matches!((self.effort, effort), (Effort::Current(_), Some(Effort::Position | Effort::Pressing(_))))
@@ -63,19 +64,19 @@ impl Machine {
         }
         match self.dispatch(command, now) {
             Ok(()) => self.effort = effort.unwrap_or(self.effort),
-            Err(ErrorCode::UNKNOWN_COMMAND) if self.plan.unknown_commands == UnknownCommands::Ignore => {}
+            Err(errors::UNKNOWN_COMMAND) if self.plan.unknown_commands == UnknownCommands::Ignore => {}
             Err(code) => return Err(code),
         }
         Ok(())
     }
 
-    fn dispatch(&mut self, command: &Command, now: Time) -> Result<(), ErrorCode> {
+    fn dispatch(&mut self, command: &Command, now: Time) -> Result<(), u16> {
         let actual = self.actual();
         let [a, b, c, ..] = command.values();
         match (command.family, command.sub) {
             // The outputs of 003x and 004x have no target.
             (0x00, 0x0 | 0x3 | 0x4) => {}
-            (0x00, 0x1) => self.set_control(ControlWord(a as u16), now),
+            (0x00, 0x1) => self.set_control(a as u16, now),
             (0x00, 0x2) => self.write_unanswered(a as u16, b as u32),
             (0x00, 0x5) => self.write_unanswered(upids::CONTROLLER_SET, a as u32),
             (0x00, 0x8) => self.setpoints.clear_events(),
@@ -110,8 +111,7 @@ impl Machine {
 
             (0x03, 0xF) => self.setpoints.end_stream(),
             (0x03, _) => {
-                let id = command.family << 4 | command.sub;
-                let stream = StreamCommand::from_id(id).ok_or(ErrorCode::UNKNOWN_COMMAND)?;
+                let stream = StreamKind::of(command.sub).ok_or(errors::UNKNOWN_COMMAND)?;
                 let setpoint = Demand {
                     position: self.place(a as f64 * METRE),
                     velocity: b as f64 * METRE_PER_S,
@@ -121,21 +121,26 @@ impl Machine {
             }
 
             (0x04, _) => self.start_curve(command)?,
-            (0x05, 0x1..) => {
-                self.memory.curves.modify(a as u16, command.sub < 4, b as usize, command.written())?;
+            (0x05, _) => {
+                let part = if command.sub < 4 { 0..INFO_SIZE } else { INFO_BLOCKS..usize::MAX };
+                let missing = errors::CURVE_NOT_DEFINED;
+                self.memory.curves.modify(a as u16, part, b as usize, command.written(), missing)?;
             }
             (0x20, 0x0) => self.start_table(a as u16)?,
             (0x20, 0x1 | 0x2) => {
-                self.memory.table.get(a as u16).ok_or(ErrorCode::ENTRY_MISSING)?;
+                self.memory.table.entry(a as u16)?;
                 self.setpoints.arm_trigger();
             }
-            (0x20, _) => self.memory.table.modify(a as u16, b as usize, command.written())?,
+            (0x20, _) => {
+                let (part, missing) = (0..ENTRY_SIZE, errors::ENTRY_MISSING);
+                self.memory.table.modify(a as u16, part, b as usize, command.written(), missing)?;
+            }
             (0x39, 0x0) => self.setpoints.follow(actual),
             (0x39, _) => self.setpoints.stop(None),
 
             // Waits, branches and variables have an effect in the command table only, which takes them before they
             // come here; and a table that restarts the firmware would never end.
-            _ => return Err(ErrorCode::UNKNOWN_COMMAND),
+            _ => return Err(errors::UNKNOWN_COMMAND),
         }
         Ok(())
     }
@@ -146,7 +151,7 @@ impl Machine {
     }
 
     /// A move in the drive's own terms.
-    fn motion(&self, command: &Command) -> Result<Move, ErrorCode> {
+    fn motion(&self, command: &Command) -> Result<Move, u16> {
         let (origin, start) = match (command.family, command.sub) {
             // Pressing. Captured positions, which are 0 since nothing has ever been captured, and variables.
             (0x0C, 0x5) | (0x0D, 0x0..=0x5) => (Origin::Zero, Start::Demand),
@@ -154,7 +159,7 @@ impl Machine {
             (0x0C, 0x7) => (Origin::Zero, Start::Standstill),
             (0x0D, _) => (Origin::Actual, Start::Actual),
             // It has no analog input.
-            (_, 0x9) => return Err(ErrorCode::UNKNOWN_COMMAND),
+            (_, 0x9) => return Err(errors::UNKNOWN_COMMAND),
             (_, 0x1) | (0x0E | 0x0F, 0xB | 0xD) => (Origin::Demand, Start::Demand),
             (_, 0x2 | 0xB | 0xD) => (Origin::Target, Start::Demand),
             (_, 0x3) => (Origin::Zero, Start::Actual),
@@ -165,7 +170,7 @@ impl Machine {
         };
         let value = match (command.family, command.sub) {
             (0x0D, 0x4..=0x7) => self.variable(1 + command.sub % 2).into(),
-            _ => command.fields_of([Kind::Position, Kind::ScaledPosition]).next().unwrap_or(0),
+            _ => command.fields(['P', 'p']).next().unwrap_or(0),
         };
         let (step, limits) = self.profile(command);
         let value = value as f64 * step;
@@ -176,14 +181,14 @@ impl Machine {
     /// What a step of its position is, m, and its limits. It may have a velocity, and none, one or two accelerations; a
     /// single one is the deceleration too. What it does not have is the drive's own.
     fn profile(&self, command: &Command) -> (f64, Vad) {
-        let is_scaled = command.fields_of([Kind::ScaledPosition; 2]).next().is_some();
+        let is_scaled = command.fields(['p', 'a']).next().is_some();
         let (step, v, a, d) = if is_scaled { self.settings.scale } else { (1, 1, 1, 1) };
         let own = self.settings.predefined;
         let given = |value: Option<i64>, scale: u32, own: u32| {
             value.map_or(own, |value| (value as u32).saturating_mul(scale))
         };
-        let velocity = command.fields_of([Kind::Velocity, Kind::ScaledVelocity]).next();
-        let mut ramps = command.fields_of([Kind::Acceleration, Kind::ScaledAcceleration]);
+        let velocity = command.fields(['V', 'v']).next();
+        let mut ramps = command.fields(['A', 'a']);
         let acceleration = ramps.next();
         let limits = Vad {
             velocity: given(velocity, v, own.velocity),
@@ -193,9 +198,9 @@ impl Machine {
         (f64::from(step) * METRE, limits)
     }
 
-    fn start_curve(&mut self, command: &Command) -> Result<(), ErrorCode> {
+    fn start_curve(&mut self, command: &Command) -> Result<(), u16> {
         let [id, settings @ ..] = command.values();
-        let curve = self.memory.curves.time_curve(id as u16).ok_or(ErrorCode::CURVE_NOT_DEFINED)?;
+        let curve = self.memory.curves.time_curve(id as u16)?;
         let from = if command.sub == 0x1 { self.actual() } else { self.setpoints.demand() };
         let course = TimeCurve::new(curve, command.sub, settings, from.position)?;
         match command.moves() {
@@ -246,7 +251,7 @@ mod tests {
             (0x0F0, O::Zero, S::Demand, W::Now, (1_000, 2_000, 2_000)),
             (0x3A1, O::Demand, S::Demand, W::Now, given),
         ] {
-            let command = Command::of(MotionCommand { id, parameters });
+            let command = Command::of(Motion { header: id << 4, parameters });
             let motion = machine.motion(&command).unwrap();
             let Vad { velocity, acceleration, deceleration } = motion.limits;
             assert_eq!(
@@ -258,11 +263,11 @@ mod tests {
             assert!((motion.value - 5.0 * METRE).abs() < 1e-12, "{id:03X}");
         }
         for analog in [0x019, 0x0E9, 0x0F9] {
-            let command = Command::of(MotionCommand { id: analog, parameters });
-            assert_eq!(machine.motion(&command).err(), Some(ErrorCode::UNKNOWN_COMMAND));
+            let command = Command::of(Motion { header: analog << 4, parameters });
+            assert_eq!(machine.motion(&command).err(), Some(errors::UNKNOWN_COMMAND));
         }
         for other in [0x017, 0x01E, 0x03F, 0x07E, 0x390, 0x025, 0xFFF] {
-            assert_eq!(Command::of(MotionCommand { id: other, parameters }).moves(), None, "{other:03X}");
+            assert_eq!(Command::of(Motion { header: other << 4, parameters }).moves(), None, "{other:03X}");
         }
     }
 }

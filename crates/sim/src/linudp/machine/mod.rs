@@ -17,6 +17,8 @@ use std::collections::VecDeque;
 
 use self::command::{Effort, Sequence};
 use self::settings::Settings;
+use super::codec::channel::Refusal;
+use super::codec::{control, errors};
 use super::demand::{Demand, METRE};
 use super::memory::Memory;
 use super::motion::Setpoints;
@@ -26,7 +28,6 @@ use crate::Truth;
 use crate::physics::PlantPlan;
 use crate::power::{PowerDrive, PowerPlan, Reset};
 use fieldbeat_core::time::Time;
-use fieldbeat_linudp::wire::{ControlWord, ErrorCode, Refusal};
 
 // Values that a real drive takes from its parameters: velocities in m/s, accelerations in m/s2, lengths in m.
 const OWN_ACCELERATION: f64 = 1.0;
@@ -81,21 +82,21 @@ pub(super) struct Machine {
     plan: LinMotSettings,
     mode: Mode,
     /// As last written.
-    control: ControlWord,
+    control: u16,
     /// The effective control word that the last transition saw: for edges.
-    seen: ControlWord,
+    seen: u16,
     /// The count of the last accepted motion command.
     count: u8,
     pub(super) setpoints: Setpoints,
-    power: PowerDrive<ErrorCode>,
+    power: PowerDrive<u16>,
     effort: Effort,
     /// The position in the command table, if it runs.
     sequence: Option<Sequence>,
     /// Turning points of a drive that was found running, until a master takes over.
     shuttle: Option<(f64, f64)>,
     /// The control words that the status word is still to report, each with its time, and the one that it reports.
-    lagging: VecDeque<(Time, ControlWord)>,
-    reported: ControlWord,
+    lagging: VecDeque<(Time, u16)>,
+    reported: u16,
     pub(super) memory: Memory,
     /// The settings in use.
     settings: Settings,
@@ -129,8 +130,8 @@ impl Machine {
             stopped: false,
             plan: plan.clone(),
             mode: Mode::NotReady,
-            control: ControlWord(0),
-            seen: ControlWord(0),
+            control: 0,
+            seen: 0,
             count: 0,
             setpoints: Setpoints::at(0.0, plan),
             power,
@@ -138,11 +139,11 @@ impl Machine {
             sequence: None,
             shuttle: None,
             lagging: VecDeque::new(),
-            reported: ControlWord(0),
+            reported: 0,
         };
         machine.power_up();
         if plan.start_running {
-            machine.control = ControlWord::ON;
+            machine.control = control::ON;
             machine.seen = machine.effective();
             machine.reported = machine.seen;
             machine.mode = Mode::Operating(Task::Commands);
@@ -163,7 +164,7 @@ impl Machine {
         self.power.restart();
         self.memory.restart();
         self.stopped = false;
-        self.control = ControlWord(0);
+        self.control = 0;
         self.lagging.clear();
         self.reported = self.effective();
         self.power.zero = self.power.place() - f64::from(self.plan.start_position) * METRE;
@@ -216,8 +217,8 @@ impl Machine {
     }
 
     /// Raises an error: a moving motor is stopped first. The first error stays.
-    pub(super) fn fail(&mut self, code: ErrorCode) {
-        if !self.power.fail(code, if code.is_fatal() { Reset::Never } else { Reset::Always }) {
+    pub(super) fn fail(&mut self, code: u16) {
+        if !self.power.fail(code, if errors::is_fatal(code) { Reset::Never } else { Reset::Always }) {
             return;
         }
         self.memory.log.record(code, self.power.age_ns());
@@ -288,10 +289,10 @@ impl Machine {
     }
 
     /// The control word after the forced bits and the hardware enable.
-    fn effective(&self) -> ControlWord {
-        let forced = if self.plan.force_enable_bits { ControlWord::ENABLES } else { 0 };
-        let taken = if self.power.is_enabled() { 0 } else { ControlWord::VOLTAGE_ENABLE };
-        ControlWord((self.control.0 | forced) & !taken)
+    fn effective(&self) -> u16 {
+        let forced = if self.plan.force_enable_bits { control::ENABLES } else { 0 };
+        let taken = if self.power.is_enabled() { 0 } else { control::VOLTAGE_ENABLE };
+        (self.control | forced) & !taken
     }
 
     fn powered(&self) -> bool {

@@ -1,12 +1,12 @@
 //! The drive's reports: state, status, warnings, and the variables that can be read and monitored.
 
+use super::super::codec::{Report, control, errors, state, status, sub_state, warn};
 use super::super::demand::{METRE, METRE_PER_S, METRE_PER_S2};
 use super::super::log::hours_and_ms;
 use super::super::upids::{PARAMETERS, Variable};
 use super::{LAG_WARNING, Machine, Mode, NEWTON_PER_AMPERE, Task, counts};
 use crate::power::set_bits;
 use fieldbeat_core::time::US;
-use fieldbeat_linudp::wire::{ControlWord, ErrorCode, MainState, StateVar, StatusWord, WarnWord};
 
 /// A position as a count of 32 bits, which wraps around.
 fn position(metres: f64) -> i32 {
@@ -14,106 +14,101 @@ fn position(metres: f64) -> i32 {
 }
 
 impl Machine {
-    fn main(&self) -> MainState {
+    /// All that a response can contain but the real-time-config channel.
+    pub(in super::super) fn report(&self) -> Report {
+        Report {
+            status: self.status(),
+            state: self.state(),
+            actual: position(self.actual().position),
+            demand: position(self.setpoints.demand().position),
+            current: self.current(),
+            warn: self.warn(),
+            error: self.error(),
+            // The values of the UPIDs in their parameters.
+            monitor: self.settings.monitored.map(|source| source.map_or(0, |index| self.read(index))),
+            config: None,
+        }
+    }
+
+    /// Main state, and the sub state outside of state 8.
+    fn main_state(&self) -> (u8, u8) {
+        let finished = |finished| if finished { sub_state::FINISHED } else { 0 };
         match self.mode {
-            Mode::NotReady => MainState::NOT_READY,
-            Mode::SwitchOnDisabled => MainState::SWITCH_ON_DISABLED,
-            Mode::ReadyToSwitchOn => MainState::READY_TO_SWITCH_ON,
-            Mode::Error => MainState::ERROR,
-            Mode::HwTests { .. } => MainState::HW_TESTS,
-            Mode::ReadyToOperate => MainState::READY_TO_OPERATE,
-            Mode::QuickStop => MainState::QUICK_STOP,
+            Mode::NotReady => (state::NOT_READY, 0),
+            Mode::SwitchOnDisabled => (state::SWITCH_ON_DISABLED, 0),
+            Mode::ReadyToSwitchOn => (state::READY_TO_SWITCH_ON, 0),
+            Mode::Error => (state::ERROR, self.error() as u8),
+            Mode::HwTests { .. } => (state::HW_TESTS, 0),
+            Mode::ReadyToOperate => (state::READY_TO_OPERATE, 0),
+            Mode::QuickStop => (state::QUICK_STOP, 0),
             Mode::Operating(task) => match task {
-                Task::Commands => MainState::OPERATION_ENABLED,
-                Task::Aborting => MainState::ABORTING,
-                Task::Freezing => MainState::FREEZING,
-                Task::Homing { .. } => MainState::HOMING,
-                Task::GoingToInitial { .. } => MainState::GOING_TO_INITIAL,
-                Task::GoingToPosition { .. } => MainState::GOING_TO_POSITION,
-                Task::JoggingPlus => MainState::JOGGING_PLUS,
-                Task::JoggingMinus => MainState::JOGGING_MINUS,
+                Task::Commands => (state::OPERATION_ENABLED, self.count),
+                Task::Aborting => (state::ABORTING, 0),
+                Task::Freezing => (state::FREEZING, 0),
+                Task::Homing { finished: end } => (state::HOMING, finished(end)),
+                Task::GoingToInitial { finished: end } => (state::GOING_TO_INITIAL, finished(end)),
+                Task::GoingToPosition { finished: end } => (state::GOING_TO_POSITION, finished(end)),
+                Task::JoggingPlus => (state::JOGGING_PLUS, sub_state::JOGGING),
+                Task::JoggingMinus => (state::JOGGING_MINUS, sub_state::JOGGING),
             },
         }
     }
 
     /// The state variable; 0 while the software is stopped.
-    pub(in super::super) fn state(&self) -> StateVar {
+    fn state(&self) -> u16 {
         if self.stopped {
-            return StateVar(0);
+            return 0;
         }
-        let sub = match self.mode {
-            Mode::Error => self.error().0 as u8,
-            Mode::Operating(Task::Commands) => {
-                let bits = [
-                    (self.setpoints.is_armed(), StateVar::EVENT_HANDLER),
-                    (self.setpoints.is_moving(), StateVar::MOTION_ACTIVE),
-                    (self.in_target(), StateVar::IN_TARGET),
-                    (self.power.homed, StateVar::HOMED),
-                ];
-                self.count | set_bits(bits)
-            }
-            Mode::Operating(
-                Task::Homing { finished: true }
-                | Task::GoingToInitial { finished: true }
-                | Task::GoingToPosition { finished: true },
-            ) => StateVar::FINISHED,
-            Mode::Operating(Task::JoggingPlus | Task::JoggingMinus) => 0x01,
-            _ => 0,
-        };
-        StateVar::new(self.main(), sub)
+        let (main, mut sub) = self.main_state();
+        if main == state::OPERATION_ENABLED {
+            sub |= set_bits([
+                (self.setpoints.is_armed(), sub_state::EVENT_HANDLER),
+                (self.setpoints.is_moving(), sub_state::MOTION_ACTIVE),
+                (self.in_target(), sub_state::IN_TARGET),
+                (self.power.homed, sub_state::HOMED),
+            ]);
+        }
+        u16::from_be_bytes([main, sub])
     }
 
     /// The status word; 0 while the software is stopped.
-    pub(in super::super) fn status(&self) -> StatusWord {
+    pub(super) fn status(&self) -> u16 {
         if self.stopped {
-            return StatusWord(0);
+            return 0;
         }
-        use StatusWord as W;
-        let control = self.reported;
-        let special = matches!(self.main().0, 9..=11 | 15..=17);
-        let bits = [
-            (self.main() >= MainState::OPERATION_ENABLED, W::OPERATION_ENABLED),
-            (control.has(ControlWord::SWITCH_ON), W::SWITCH_ON_ACTIVE),
-            (control.has(ControlWord::ENABLE_OPERATION), W::ENABLE_OPERATION),
-            (self.power.fault().is_some(), W::ERROR),
-            (control.has(ControlWord::VOLTAGE_ENABLE), W::VOLTAGE_ENABLE),
-            (control.has(ControlWord::NO_QUICK_STOP), W::NO_QUICK_STOP),
-            (self.mode == Mode::NotReady && control.has(ControlWord::SWITCH_ON), W::SWITCH_ON_LOCKED),
-            (self.warn().0 != 0, W::WARNING),
-            (self.setpoints.is_armed(), W::EVENT_HANDLER),
-            (special, W::SPECIAL_MOTION),
-            (self.in_target(), W::IN_TARGET),
-            (self.power.homed, W::HOMED),
-            (self.error().is_fatal(), W::FATAL_ERROR),
-            (self.powered() && self.setpoints.is_moving(), W::MOTION_ACTIVE),
-        ];
-        StatusWord(set_bits(bits))
+        let (main, _) = self.main_state();
+        let has = |bit| self.reported & bit != 0;
+        set_bits([
+            (main >= state::OPERATION_ENABLED, status::OPERATION_ENABLED),
+            (has(control::SWITCH_ON), status::SWITCH_ON_ACTIVE),
+            (has(control::ENABLE_OPERATION), status::ENABLE_OPERATION),
+            (self.power.fault().is_some(), status::ERROR),
+            (has(control::VOLTAGE_ENABLE), status::VOLTAGE_ENABLE),
+            (has(control::NO_QUICK_STOP), status::NO_QUICK_STOP),
+            (self.mode == Mode::NotReady && has(control::SWITCH_ON), status::SWITCH_ON_LOCKED),
+            (self.warn() != 0, status::WARNING),
+            (self.setpoints.is_armed(), status::EVENT_HANDLER),
+            (matches!(main, 9..=11 | 15..=17), status::SPECIAL_MOTION),
+            (self.in_target(), status::IN_TARGET),
+            (self.power.homed, status::HOMED),
+            (errors::is_fatal(self.error()), status::FATAL_ERROR),
+            (self.powered() && self.setpoints.is_moving(), status::MOTION_ACTIVE),
+        ])
     }
 
     /// The warn word.
-    pub(in super::super) fn warn(&self) -> WarnWord {
-        let lag = if self.powered() && self.lag() > LAG_WARNING { WarnWord::POSITION_LAG } else { 0 };
-        let homed = if self.power.homed { 0 } else { WarnWord::NOT_HOMED };
-        WarnWord(lag | homed)
+    pub(super) fn warn(&self) -> u16 {
+        let is_behind = self.powered() && self.lag() > LAG_WARNING;
+        set_bits([(is_behind, warn::POSITION_LAG), (!self.power.homed, warn::NOT_HOMED)])
     }
 
     /// The error that stands.
-    pub(in super::super) fn error(&self) -> ErrorCode {
-        self.power.fault().unwrap_or(ErrorCode::NONE)
-    }
-
-    /// Actual position, 0.1 um.
-    pub(in super::super) fn actual_position(&self) -> i32 {
-        position(self.actual().position)
-    }
-
-    /// Demand position, 0.1 um.
-    pub(in super::super) fn demand_position(&self) -> i32 {
-        position(self.setpoints.demand().position)
+    fn error(&self) -> u16 {
+        self.power.fault().unwrap_or(errors::NONE)
     }
 
     /// Motor current, mA.
-    pub(in super::super) fn current(&self) -> i16 {
+    pub(super) fn current(&self) -> i16 {
         (self.power.torque() / NEWTON_PER_AMPERE * 1e3).round() as i16
     }
 
@@ -129,11 +124,6 @@ impl Machine {
         self.memory.parameters.wire(index, self.number(index))
     }
 
-    /// The monitoring channels: the values of the UPIDs in their parameters.
-    pub(in super::super) fn monitor(&self) -> [u32; 4] {
-        self.settings.monitored.map(|source| source.map_or(0, |index| self.read(index)))
-    }
-
     fn value(&self, variable: Variable) -> i64 {
         let demand = self.setpoints.demand();
         let limits = self.setpoints.limits();
@@ -144,7 +134,7 @@ impl Machine {
             // The timer is 32 bits wide and wraps.
             Variable::TimerUs => i64::from((self.power.on_ns() / US) as u32),
             Variable::DemandCurrent => self.current().into(),
-            Variable::Status => self.status().0.into(),
+            Variable::Status => self.status().into(),
             Variable::Count => self.count.into(),
             Variable::Target => position(self.setpoints.target()).into(),
             Variable::LimitVelocity => limits.velocity.into(),

@@ -10,14 +10,14 @@
 //! - In run mode 3 it begins at entry 1 as soon as the drive is in state 8 and homed.
 //! - Inputs are low and triggers never come. Waiting times in a variable are in 100 us, like those in an entry.
 
+use super::super::codec::channel::usage;
+use super::super::codec::errors;
 use super::super::demand::{METRE, METRE_PER_S};
 use super::super::parameters::allowed;
 use super::super::upids;
 use super::command::{Command, Sequence};
 use super::{Machine, Mode, Task, counts};
 use fieldbeat_core::time::{Time, US};
-use fieldbeat_linudp::upid::Usage;
-use fieldbeat_linudp::wire::ErrorCode;
 
 /// The most entries that the drive executes in one step.
 const ENTRIES: usize = 8;
@@ -42,16 +42,16 @@ impl Machine {
     }
 
     /// Runs an entry, or checks whether it is over; false while it waits.
-    fn run_entry(&mut self, sequence: Sequence, now: Time) -> Result<bool, ErrorCode> {
+    fn run_entry(&mut self, sequence: Sequence, now: Time) -> Result<bool, u16> {
         // It may have been deleted meanwhile.
-        let entry = *self.memory.table.get(sequence.entry).ok_or(ErrorCode::ENTRY_MISSING)?;
+        let entry = self.memory.table.entry(sequence.entry)?;
         let command = Command::of(entry.command());
         let [a, b, c, d, _] = command.values();
         let next = if let Some((wait, until)) = sequence.waiting {
             if !self.is_over(&wait, until, now)? {
                 return Ok(false);
             }
-            entry.next
+            entry.link()
         } else {
             match (command.family, command.sub) {
                 (0x21 | 0x22, sub) => {
@@ -64,8 +64,8 @@ impl Machine {
                 (0x26, 0x2..=0x5) => {
                     // The inputs X4 and X6 are low.
                     let word = match command.sub {
-                        0x4 => self.status().0,
-                        0x5 => self.warn().0,
+                        0x4 => self.status(),
+                        0x5 => self.warn(),
                         _ => 0,
                     };
                     let holds = (i64::from(word) ^ b) & a == 0;
@@ -77,7 +77,7 @@ impl Machine {
                     if !self.compute(&command) {
                         self.execute(&command, now)?;
                     }
-                    entry.next
+                    entry.link()
                 }
             }
         };
@@ -101,14 +101,14 @@ impl Machine {
             }
             (0x24, sub @ (0x8 | 0x9)) => self.write_unanswered(upid, self.variable(1 + sub % 2) as u32),
             (0x24, sub @ (0xC | 0xD)) => {
-                if let Ok(index) = allowed(upid, Usage::RAM_READ) {
+                if let Ok(index) = allowed(upid, usage::RAM_READ) {
                     // The number itself, with its sign: a variable has 32 bits. The upper half of u32 wraps.
                     self.set_variable(1 + sub % 2, self.number(index) as i32);
                 }
             }
             // Listed and not described: its name is taken as its meaning. It takes no time here.
             (0x24, _) => {
-                if let Ok(index) = allowed(upid, Usage::RAM_READ) {
+                if let Ok(index) = allowed(upid, usage::RAM_READ) {
                     let value = self.read(index);
                     let _ = self.memory.parameters.write_rom(upid, value);
                 }
@@ -127,7 +127,7 @@ impl Machine {
         self.write_unanswered(upids::VARIABLE_1 + variable - 1, value as u32);
     }
 
-    fn is_over(&self, wait: &Command, until: Time, now: Time) -> Result<bool, ErrorCode> {
+    fn is_over(&self, wait: &Command, until: Time, now: Time) -> Result<bool, u16> {
         Ok(match (wait.family, wait.sub) {
             (0x21, 0x1) => !self.setpoints.is_moving(),
             (0x21, 0x2) => self.in_target(),
@@ -139,7 +139,7 @@ impl Machine {
     }
 
     /// Whether a quantity of the drive is above or below the limit of a wait, 22xx, or of a branch, 25xx and 26xx.
-    fn compares(&self, command: &Command) -> Result<bool, ErrorCode> {
+    fn compares(&self, command: &Command) -> Result<bool, u16> {
         let demand = self.setpoints.demand();
         let actual = self.actual();
         let position = |value: f64| i64::from(counts(value, METRE));
@@ -154,7 +154,7 @@ impl Machine {
             (0x22, 5) => velocity(actual.velocity),
             (0x22 | 0x25, _) => self.current().into(),
             // The analog input, of which none is wired, and 266x, of which the sources do not say what it compares.
-            _ => return Err(ErrorCode::UNKNOWN_COMMAND),
+            _ => return Err(errors::UNKNOWN_COMMAND),
         };
         let [limit, ..] = command.values();
         let is_greater = (command.sub % 2 == 1) == (command.family == 0x25);

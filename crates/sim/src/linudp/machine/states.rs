@@ -1,10 +1,10 @@
 //! The state machine (SG5 manual): what the control word changes.
 
+use super::super::codec::{control as C, errors};
 use super::command::Sequence;
 use super::settings::{RunMode, Settings};
 use super::{Machine, Mode, OWN_ACCELERATION, Task};
 use fieldbeat_core::time::{MS, Time};
-use fieldbeat_linudp::wire::{ControlWord, ErrorCode};
 
 /// Hardware tests of state 5 (SG5 manual: about 300 ms).
 const HW_TESTS_NS: u64 = 300 * MS;
@@ -17,9 +17,13 @@ const HOMING_VELOCITY: f64 = 0.1;
 const JOG_VELOCITY: f64 = 0.02;
 const GO_TO_VELOCITY: f64 = 0.1;
 
+fn has(word: u16, bits: u16) -> bool {
+    word & bits == bits
+}
+
 impl Machine {
     /// Writes the control word.
-    pub(in super::super) fn set_control(&mut self, word: ControlWord, now: Time) {
+    pub(in super::super) fn set_control(&mut self, word: u16, now: Time) {
         self.control = word;
         if !self.stopped {
             self.transition(now);
@@ -54,32 +58,31 @@ impl Machine {
 
     /// The state machine (SG5 manual). Precedence: bits 0-2, bit 3, then the tasks.
     fn change_mode(&mut self, now: Time) {
-        use ControlWord as C;
         let control = self.effective();
-        let rising = ControlWord(control.0 & !self.seen.0);
+        let rising = control & !self.seen;
         self.seen = control;
-        let on = control.has(C::SWITCH_ON | C::VOLTAGE_ENABLE);
-        let quick_stop = !control.has(C::NO_QUICK_STOP);
+        let on = has(control, C::SWITCH_ON | C::VOLTAGE_ENABLE);
+        let quick_stop = !has(control, C::NO_QUICK_STOP);
         match self.mode {
             Mode::NotReady => {
-                if !control.has(C::SWITCH_ON) {
+                if !has(control, C::SWITCH_ON) {
                     self.mode = Mode::SwitchOnDisabled;
                 }
             }
             Mode::SwitchOnDisabled => {
-                if control.0 & 0b111 == 0b110 {
+                if control & 0b111 == 0b110 {
                     self.mode = Mode::ReadyToSwitchOn;
                 }
             }
             Mode::ReadyToSwitchOn => {
-                if !control.has(C::VOLTAGE_ENABLE | C::NO_QUICK_STOP) {
+                if !has(control, C::VOLTAGE_ENABLE | C::NO_QUICK_STOP) {
                     self.mode = Mode::SwitchOnDisabled;
                 } else if on {
                     self.mode = Mode::HwTests { until: now + HW_TESTS_NS };
                 }
             }
             Mode::Error => {
-                if rising.has(C::ERROR_ACKNOWLEDGE) && self.power.reset() {
+                if has(rising, C::ERROR_ACKNOWLEDGE) && self.power.reset() {
                     self.mode = Mode::NotReady;
                 }
             }
@@ -100,11 +103,11 @@ impl Machine {
                 }
             }
             Mode::ReadyToOperate => {
-                if control.has(C::ENABLE_OPERATION) {
+                if has(control, C::ENABLE_OPERATION) {
                     self.mode = Mode::Operating(Task::Commands);
                 }
             }
-            Mode::Operating(_) if !control.has(C::ENABLE_OPERATION) => {
+            Mode::Operating(_) if !has(control, C::ENABLE_OPERATION) => {
                 self.setpoints.halt();
                 self.mode = Mode::ReadyToOperate;
             }
@@ -113,23 +116,22 @@ impl Machine {
     }
 
     /// Starts the task that the control word requests, if it is another one.
-    fn change_task(&mut self, task: Task, control: ControlWord, rising: ControlWord) {
-        use ControlWord as C;
-        let initial = rising.has(C::GO_TO_INITIAL)
-            || control.has(C::GO_TO_INITIAL) && matches!(task, Task::GoingToInitial { .. });
-        let wanted = if !control.has(C::NO_ABORT) {
+    fn change_task(&mut self, task: Task, control: u16, rising: u16) {
+        let initial = has(rising, C::GO_TO_INITIAL)
+            || has(control, C::GO_TO_INITIAL) && matches!(task, Task::GoingToInitial { .. });
+        let wanted = if !has(control, C::NO_ABORT) {
             Task::Aborting
-        } else if !control.has(C::NO_FREEZE) {
+        } else if !has(control, C::NO_FREEZE) {
             Task::Freezing
-        } else if control.has(C::HOMING) {
+        } else if has(control, C::HOME) {
             Task::Homing { finished: false }
         } else if initial {
             Task::GoingToInitial { finished: false }
-        } else if control.has(C::GO_TO_POSITION) {
+        } else if has(control, C::GO_TO_POSITION) {
             Task::GoingToPosition { finished: false }
-        } else if control.has(C::JOG_PLUS) {
+        } else if has(control, C::JOG_PLUS) {
             Task::JoggingPlus
-        } else if control.has(C::JOG_MINUS) {
+        } else if has(control, C::JOG_MINUS) {
             Task::JoggingMinus
         } else {
             Task::Commands
@@ -151,7 +153,7 @@ impl Machine {
                 if self.power.homed {
                     self.setpoints.go_to(home, GO_TO_VELOCITY, OWN_ACCELERATION);
                 } else {
-                    self.fail(ErrorCode::NOT_HOMED);
+                    self.fail(errors::NOT_HOMED);
                 }
             }
             Task::JoggingPlus => self.setpoints.run(JOG_VELOCITY, OWN_ACCELERATION),
@@ -164,8 +166,8 @@ impl Machine {
     }
 
     /// The table goes on with this entry.
-    pub(super) fn start_table(&mut self, entry: u16) -> Result<(), ErrorCode> {
-        self.memory.table.get(entry).ok_or(ErrorCode::ENTRY_MISSING)?;
+    pub(super) fn start_table(&mut self, entry: u16) -> Result<(), u16> {
+        self.memory.table.entry(entry)?;
         self.sequence = Some(Sequence { entry, waiting: None });
         Ok(())
     }

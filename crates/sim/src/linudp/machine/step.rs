@@ -1,14 +1,11 @@
 //! One step of the drive: demand, motor, supervision, states, table.
 
+use super::super::codec::errors;
 use super::super::demand::METRE;
 use super::command::Effort;
 use super::{Machine, counts};
 use crate::power::Aim;
 use fieldbeat_core::time::Time;
-use fieldbeat_linudp::wire::ErrorCode;
-
-/// 000Ch: position lag at standstill.
-const LAG_STANDING: ErrorCode = ErrorCode(0x000C);
 
 impl Machine {
     /// Advances to `now`.
@@ -75,13 +72,13 @@ impl Machine {
         // A motor that presses against something is meant to lag behind.
         let lag = if self.effort == Effort::Position { self.lag() } else { 0.0 };
         if bounded && demand < settings.range.0 {
-            self.fail(ErrorCode::MIN_POSITION);
+            self.fail(errors::MIN_POSITION);
         } else if bounded && demand > settings.range.1 {
-            self.fail(ErrorCode::MAX_POSITION);
+            self.fail(errors::MAX_POSITION);
         } else if lag > settings.lag_moving {
-            self.fail(ErrorCode::POSITION_LAG);
+            self.fail(errors::POSITION_LAG);
         } else if lag > settings.lag_standing && !self.setpoints.is_moving() {
-            self.fail(LAG_STANDING);
+            self.fail(errors::POSITION_LAG_STANDING);
         }
     }
 }

@@ -1,12 +1,7 @@
-//! Time curves run: positions at several instants, scales, and what they are refused for.
+//! Time curves run: positions at several instants, scales, and their errors.
 
-use super::memory::curve;
+use super::store::curve;
 use super::*;
-use fieldbeat_linudp::motion::{AmplitudeScale, CurveId, CurveTime, Long, Offset, TimeScale};
-
-fn id(id: u16) -> CurveId {
-    CurveId::new(id).unwrap()
-}
 
 /// Homed at 0, with curve 5: to 10 mm and on to 40 mm in one second.
 fn bench() -> Bench {
@@ -15,99 +10,83 @@ fn bench() -> Bench {
     bench
 }
 
-fn scaled(offset: i32, time: u16, amplitude: i16) -> MotionCommand {
-    let (time, amplitude) = (TimeScale::new(time).unwrap(), AmplitudeScale::new(amplitude).unwrap());
-    MotionCommand::curve_start_scaled(id(5), Position(offset), time, amplitude)
-}
-
-/// Demand positions so many ms behind the command.
-fn demands(bench: &mut Bench, command: MotionCommand, at_ms: &[u64]) -> Vec<i32> {
-    bench.command(command);
-    let from = bench.now;
-    let demand = |ms: &u64| {
-        bench.now = from + (ms - 1) * MS;
-        let response = bench.exchange(None);
-        assert_eq!(response.error, Some(ErrorCode::NONE));
-        response.demand.unwrap()
-    };
-    at_ms.iter().map(demand).collect()
-}
-
 #[test]
 fn a_curve_is_stretched_as_the_command_says() {
-    // Offset, twice the time, half the amplitude backwards; it begins where it says, not where the motor is.
-    let mut bench = bench();
-    assert_eq!(
-        demands(&mut bench, scaled(0, 20_000, -500), &[500, 1_000, 2_000]),
-        [-CM / 4, -CM / 2, -2 * CM]
-    );
-    let mut bench = bench_at(CM);
-    assert_eq!(demands(&mut bench, scaled(CM, 5_000, 1_000), &[250, 500]), [2 * CM, 5 * CM]);
-    // In a time of its own.
-    let mut bench = bench_at(CM);
-    let amplitude = AmplitudeScale::new(1_000).unwrap();
-    let in_time = MotionCommand::curve_start_in_time(id(5), Position(CM), CurveTime(200_000), amplitude);
-    assert_eq!(demands(&mut bench, in_time, &[1_000, 2_000]), [2 * CM, 5 * CM]);
-    // From where the motor is; to a target from there; and that in a time.
-    let mut bench = bench_at(3 * CM);
-    let from_actual = MotionCommand::curve_start_from_actual(id(5));
-    assert_eq!(demands(&mut bench, from_actual, &[500, 1_000]), [4 * CM, 7 * CM]);
-    let mut bench = bench_at(3 * CM);
-    let to_target = MotionCommand::curve_start_to_target(id(5), Position(-5 * CM));
-    assert_eq!(demands(&mut bench, to_target, &[500, 1_000]), [CM, -5 * CM]);
-    let mut bench = bench_at(3 * CM);
-    let in_time = MotionCommand::curve_start_to_target_in_time(id(5), Position(-5 * CM), CurveTime(200_000));
-    assert_eq!(demands(&mut bench, in_time, &[1_000, 2_000, 3_000]), [CM, -5 * CM, -5 * CM]);
+    const CM: i64 = 100_000;
+    // Command, fields behind the id; start of the motor; demand at these instants.
+    type Demands<'a> = &'a [(u64, i64)];
+    let clauses: [(u16, &[i64], i64, Demands<'_>); 6] = [
+        // Offset, twice the time, half the amplitude backwards; it begins where it says, not where the motor is.
+        (0x044, &[0, 20_000, -500], 0, &[(500, -CM / 4), (1_000, -CM / 2), (2_000, -2 * CM)]),
+        (0x044, &[CM, 5_000, 1_000], CM, &[(250, 2 * CM), (500, 5 * CM)]),
+        // In a time of its own.
+        (0x045, &[CM, 200_000, 1_000], CM, &[(1_000, 2 * CM), (2_000, 5 * CM)]),
+        // From where the motor is; to a target from there; and that in a time.
+        (0x041, &[], 3 * CM, &[(500, 4 * CM), (1_000, 7 * CM)]),
+        (0x042, &[-5 * CM], 3 * CM, &[(500, CM), (1_000, -5 * CM)]),
+        (0x043, &[-5 * CM, 200_000], 3 * CM, &[(1_000, CM), (2_000, -5 * CM), (3_000, -5 * CM)]),
+    ];
+    for (id, fields, start, demands) in clauses {
+        let mut bench = bench();
+        bench.ends_at(go_to(start as i32, VAD));
+        bench.runs_through(motion(id, &[&[5], fields].concat()), demands);
+    }
 }
 
-fn bench_at(position: i32) -> Bench {
-    let mut bench = bench();
-    bench.command(go_to(position, VAD));
-    bench.until_standing();
-    bench
+impl Bench {
+    /// The demand so many ms behind the command.
+    fn runs_through(&mut self, command: Motion, demands: &[(u64, i64)]) {
+        self.command(command);
+        let from = self.now;
+        for (ms, demand) in demands {
+            self.now = from + (ms - 1) * MS;
+            let report = self.exchange(None);
+            assert_eq!(
+                (report.error, i64::from(report.demand)),
+                (errors::NONE, *demand),
+                "{command:?} at {ms} ms"
+            );
+        }
+    }
 }
 
 #[test]
 fn a_stopped_curve_does_not_go_on_and_an_armed_one_does_not_begin() {
     let mut bench = bench();
-    for control in [ControlWord(0x001F), ControlWord::ABORT] {
-        bench.command(MotionCommand::curve_start_from_actual(id(5)));
-        bench.now = bench.now + 300 * MS;
-        bench.state(control);
+    for stop in [control::NO_FREEZE, control::NO_ABORT] {
+        bench.command_for(motion(0x041, &[5]), 300 * MS);
+        bench.state(control::ON & !stop);
         let stood = bench.until_standing();
-        bench.control = ControlWord::ON;
-        bench.now = bench.now + S;
-        let response = bench.exchange(None);
-        assert_eq!((response.demand, response.error), (stood.demand, Some(ErrorCode::NONE)));
+        bench.control = control::ON;
+        bench.wait(S);
+        let report = bench.exchange(None);
+        assert_eq!((report.demand, report.error), (stood.demand, errors::NONE));
     }
     // Nor one that another motion takes over from; and a move after it waits for its end.
-    bench.command(MotionCommand::curve_start_from_actual(id(5)));
-    bench.now = bench.now + 300 * MS;
+    bench.command_for(motion(0x041, &[5]), 300 * MS);
     bench.command(go_to(0, VAD));
-    assert_eq!(bench.until_standing().demand, Some(0));
-    bench.command(MotionCommand::curve_start(id(5)));
-    let after = MotionCommand { id: 0x018, ..go_to(0, VAD) };
-    assert!(bench.command(after).status.unwrap().has(StatusWord::EVENT_HANDLER));
-    bench.now = bench.now + 998 * MS;
-    assert_eq!(bench.exchange(None).demand, Some(4 * CM));
-    assert_eq!(bench.until_standing().demand, Some(0));
+    assert_eq!(bench.until_standing().demand, 0);
+    bench.command(motion(0x040, &[5]));
+    assert!(bench.command(move_by(0x018, 0, VAD)).has(status::EVENT_HANDLER));
+    bench.wait(998 * MS);
+    assert_eq!(bench.exchange(None).demand, 4 * CM);
+    assert_eq!(bench.until_standing().demand, 0);
     // One for the trigger stays armed.
-    let armed = bench.command(MotionCommand::curve_start_to_target_on_rising_trigger(id(5), Position(CM)));
-    assert!(armed.status.unwrap().has(StatusWord::EVENT_HANDLER) && !armed.status.unwrap().motion_active());
-    bench.now = bench.now + 10 * S;
-    let cleared = bench.command(MotionCommand::clear_events());
-    assert_eq!((cleared.demand, cleared.status.unwrap().has(StatusWord::EVENT_HANDLER)), (Some(0), false));
+    let armed = bench.command(motion(0x04A, &[5, CM.into()]));
+    assert!(armed.has(status::EVENT_HANDLER) && !armed.has(status::MOTION_ACTIVE));
+    bench.wait(10 * S);
+    let cleared = bench.command(motion(0x008, &[]));
+    assert_eq!((cleared.demand, cleared.has(status::EVENT_HANDLER)), (0, false));
 }
 
 #[test]
 fn a_curve_is_modified_in_ram_by_motion_commands() {
     let mut bench = bench();
     // The last setpoint, then the length: 20 mm in half a second. While it runs, as it was.
-    bench.command(MotionCommand::curve_start(id(5)));
-    bench.command(MotionCommand::curve_modify_one(id(5), Offset(8), Long(2 * CM)));
-    bench.command(MotionCommand::curve_modify_info_long(id(5), Offset(32), Long(50_000)));
-    assert_eq!(bench.until_standing().demand, Some(4 * CM));
-    bench.command(go_to(0, VAD));
-    bench.until_standing();
-    assert_eq!(demands(&mut bench, MotionCommand::curve_start(id(5)), &[250, 500]), [CM, 2 * CM]);
+    bench.command(motion(0x040, &[5]));
+    bench.command(motion(0x054, &[5, 8, (2 * CM).into()]));
+    bench.command(motion(0x052, &[5, 32, 50_000]));
+    assert_eq!(bench.until_standing().demand, 4 * CM);
+    bench.ends_at(go_to(0, VAD));
+    bench.runs_through(motion(0x040, &[5]), &[(250, CM.into()), (500, (2 * CM).into())]);
 }
