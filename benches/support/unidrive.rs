@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use fieldbeat::axis::Limits;
 use fieldbeat::bus::modbus::{
-    Block, ControlWord, Mapping, Parameter, Role, StatusWord, UnidriveDrive, Via, Watchdog, Width,
+    Block, ControlWord, Mapping, Role, StatusWord, UnidriveDrive, Via, Watchdog, Width,
 };
 use fieldbeat::sim::modbus::UnidriveSettings;
 use fieldbeat::time::{MS, S};
@@ -57,9 +57,9 @@ pub fn drive(address: Ipv4Addr) -> UnidriveDrive {
 
 /// Such a drive, simulated. It obeys and is watched whoever its master is: the rivals set up nothing.
 pub fn simulated(drive: &UnidriveDrive) -> UnidriveSettings {
-    let time_out = Parameter::new(15, 9).in_slot(drive.slot);
     UnidriveSettings {
-        commissioned: vec![(Parameter::CONTROL_WORD_ENABLE, 1), (time_out, (WATCHDOG_NS / MS) as i32)],
+        // It follows the control word, and has a time-out of its interface.
+        commissioned: vec![([6, 43], 1), ([15, 9], (WATCHDOG_NS / MS) as i32)],
         ..UnidriveSettings::of(drive)
     }
 }

@@ -7,6 +7,7 @@ use fieldbeat_keys::bus;
 use fieldbeat_keys::form::Form;
 use fieldbeat_keys::keys;
 use fieldbeat_keys::table::Table;
+use fieldbeat_modbus::parameter::Addressing;
 use fieldbeat_modbus::{ModbusPlan, UnidriveDrive};
 
 keys! {
@@ -21,6 +22,24 @@ keys! {
     INERTIA "inertia" = "0.005": "inertia of all rotating parts, kg m²";
     LOAD "load" = "1.5": "load torque at rated speed, N m; it grows with the speed";
     FRICTION "friction" = "0.1": "load torque at any speed, N m";
+}
+
+impl Unidrives {
+    /// A drive with default settings for each of the bus.
+    pub fn of(plan: &ModbusPlan) -> Unidrives {
+        Unidrives(plan.drives.iter().map(UnidriveSettings::of).collect())
+    }
+}
+
+impl UnidriveSettings {
+    /// A drive with default settings at the address of `drive`, with its serial number, addressing and slot.
+    pub fn of(drive: &UnidriveDrive) -> UnidriveSettings {
+        let mut settings = UnidriveSettings::new(drive.address);
+        settings.serial = drive.serial.unwrap_or_default();
+        settings.interface.modified = drive.addressing == Addressing::Modified;
+        settings.interface.slot = drive.slot;
+        settings
+    }
 }
 
 /// Reads the simulated drives of a `[[bus]]` that is read otherwise.

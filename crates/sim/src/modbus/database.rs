@@ -5,7 +5,6 @@
 
 use super::settings::UnidriveSettings;
 use super::table::{self, Row, TABLE};
-use fieldbeat_modbus::parameter::{Addressing, Parameter};
 
 /// Values of xx.000.
 const SAVE: [i32; 2] = [1000, 1001];
@@ -21,8 +20,8 @@ pub(super) struct Database {
     /// The parameters that menu 0 shows, by their index in the table.
     shown: [Option<usize>; table::SETUPS],
     menu_zero: bool,
-    /// In use since the last start.
-    addressing: Addressing,
+    /// Modified addressing is in use since the last start.
+    modified: bool,
 }
 
 impl Database {
@@ -30,13 +29,10 @@ impl Database {
         let rows = &TABLE.rows[..];
         let mut delivered: Vec<i32> = rows.iter().map(|row| row.default).collect();
         let motor = &settings.motor;
-        let modified = settings.interface.addressing == Addressing::Modified;
+        let modified = settings.interface.modified;
         for (row, value) in [
             (table::MAXIMUM_REFERENCE, motor.rated_rpm * 1e1),
             (table::RATED_SPEED, motor.rated_rpm * 1e2),
-            (table::RATED_CURRENT, motor.rated_a * 1e3),
-            (table::TORQUE_LIMIT, motor.limit_percent * 1e1),
-            (table::POLE_PAIRS, motor.pole_pairs.into()),
             (table::ACCELERATION, settings.ramps_s.0 * 1e3),
             (table::DECELERATION, settings.ramps_s.1 * 1e3),
             (table::ADDRESSING, modified.into()),
@@ -48,8 +44,11 @@ impl Database {
             delivered[row] = rows[row].clamp(i32::try_from(part).unwrap_or(i32::MAX));
         }
         let mut saved = delivered.clone();
-        for (parameter, value) in &settings.commissioned {
-            if let Some(row) = TABLE.of(*parameter, settings.interface.slot) {
+        for ([menu, number], value) in &settings.commissioned {
+            if let Some(row) = TABLE
+                .find(*menu, *number)
+                .or_else(|| TABLE.find(menu.saturating_add(table::INTERFACE), *number))
+            {
                 saved[row] = rows[row].clamp(*value);
             }
         }
@@ -60,7 +59,7 @@ impl Database {
             delivered,
             shown: [None; table::SETUPS],
             menu_zero: settings.interface.menu_zero,
-            addressing: settings.interface.addressing,
+            modified,
         };
         database.restart();
         database
@@ -71,10 +70,7 @@ impl Database {
         for (place, row) in self.rows.iter().enumerate() {
             self.used[place] = if row.saved { self.saved[place] } else { row.default };
         }
-        self.addressing = match self.is_on(table::ADDRESSING) {
-            true => Addressing::Modified,
-            false => Addressing::Standard,
-        };
+        self.modified = self.is_on(table::ADDRESSING);
         self.show();
     }
 
@@ -122,32 +118,30 @@ impl Database {
         }
     }
 
-    /// The index of a parameter of the drive, or of the one shown in menu 0.
-    pub(super) fn find(&self, parameter: Parameter) -> Option<usize> {
-        match parameter.menu {
-            0 => *self.shown.get(usize::from(parameter.number).checked_sub(1)?)?,
+    /// The index of a parameter of the interface itself or of the drive; that of menu 0 is the one that it shows.
+    pub(super) fn find(&self, menu: u8, number: u8, is_own: bool) -> Option<usize> {
+        match menu {
+            _ if is_own => TABLE.find(menu.checked_add(table::INTERFACE)?, number),
+            0 => *self.shown.get(usize::from(number).checked_sub(1)?)?,
             table::INTERFACE.. => None,
-            menu => TABLE.find(menu, parameter.number),
+            _ => TABLE.find(menu, number),
         }
     }
 
-    /// The same for a parameter of the interface.
-    pub(super) fn find_own(&self, parameter: Parameter) -> Option<usize> {
-        TABLE.find(parameter.menu.checked_add(table::INTERFACE)?, parameter.number)
-    }
-
-    /// How addresses are made.
-    pub(super) fn addressing(&self) -> Addressing {
-        self.addressing
+    /// Addresses are made of 256 parameters a menu.
+    pub(super) fn is_modified(&self) -> bool {
+        self.modified
     }
 
     /// Looks up the parameters that menu 0 shows. It does not show itself.
     fn show(&mut self) {
         for number in 1..=table::SETUPS {
             let setup = TABLE.find(table::SETUP_MENU, number as u8).map_or(0, |place| self.used[place]);
-            let source = u16::try_from(setup).ok().and_then(Parameter::from_setup);
-            let source = source.filter(|source| self.menu_zero && source.menu != 0);
-            self.shown[number - 1] = source.and_then(|source| self.find(source));
+            let (menu, source) = (u8::try_from(setup / 1_000), u8::try_from(setup % 1_000));
+            self.shown[number - 1] = match (menu, source) {
+                (Ok(menu @ 1..), Ok(source)) if self.menu_zero => self.find(menu, source, false),
+                _ => None,
+            };
         }
     }
 }

@@ -4,6 +4,7 @@
 
 use std::f64::consts::TAU;
 
+use super::codec::{control, status as W};
 use super::database::Database;
 use super::motor::{Demand, Motor};
 use super::sequencer::{self, Sequencer};
@@ -12,8 +13,6 @@ use super::table::{self, Variable};
 use crate::Truth;
 use crate::power::set_bits;
 use fieldbeat_core::time::{MS, Time};
-use fieldbeat_modbus::trips::Trip;
-use fieldbeat_modbus::words::{ControlWord, StatusWord};
 
 /// Steps in which a drive that is found running has reached its speed: 60 s.
 const RUN_UP: (u32, u64) = (600, 100 * MS);
@@ -33,7 +32,7 @@ impl Drive {
         let mut drive = Drive { parameters: Database::new(settings), sequencer, motor };
         match settings.start {
             Start::Idle => {}
-            Start::Tripped(trip) => drive.trip(Trip(trip)),
+            Start::Tripped(trip) => drive.trip(trip),
             Start::Running(speed) => drive.run_up(speed),
         }
         drive
@@ -42,13 +41,13 @@ impl Drive {
     /// As another master has left it.
     fn run_up(&mut self, speed: f64) {
         let word = match speed {
-            0.0 => ControlWord::ENABLED,
-            ..0.0 => ControlWord::BACKWARD,
-            _ => ControlWord::FORWARD,
+            0.0 => control::ENABLED,
+            ..0.0 => control::BACKWARD,
+            _ => control::FORWARD,
         };
         self.parameters.set(table::CONTROL_WORD_ENABLE, 1);
         self.write(table::PRESET, (speed.abs() * 10.0).round() as i32);
-        self.write(table::CONTROL_WORD, word.0.into());
+        self.write(table::CONTROL_WORD, word.into());
         (0..RUN_UP.0).for_each(|_| self.step(RUN_UP.1));
     }
 
@@ -64,7 +63,7 @@ impl Drive {
     }
 
     /// Trips the drive.
-    pub(super) fn trip(&mut self, trip: Trip) {
+    pub(super) fn trip(&mut self, trip: u16) {
         self.sequencer.trip(&mut self.motor.power, trip);
     }
 
@@ -145,14 +144,10 @@ impl Drive {
     /// The control word was written; whether it resets the drive.
     fn control(&mut self, before: i32, word: i32) -> bool {
         if let Some(word) = sequencer::obeyed(&self.parameters) {
-            self.parameters.set(table::REMOTE, word.has(ControlWord::REMOTE).into());
+            self.parameters.set(table::REMOTE, (word & control::REMOTE != 0).into());
         }
         self.parameters.is_on(table::CONTROL_WORD_ENABLE)
-            && self.sequencer.control(
-                &mut self.motor.power,
-                ControlWord(before as u16),
-                ControlWord(word as u16),
-            )
+            && self.sequencer.control(&mut self.motor.power, before as u16, word as u16)
     }
 
     fn value(&self, variable: Variable) -> i32 {
@@ -170,15 +165,14 @@ impl Drive {
             Variable::Frequency => tenths(motor.frequency()),
             Variable::DcBus => motor.dc_bus().round() as i32,
             Variable::HardwareEnable => self.motor.power.is_enabled().into(),
-            Variable::Status => self.status().0.into(),
-            Variable::StatusBit(bit) => (self.status().0 >> bit & 1).into(),
-            Variable::Trip(index) => self.sequencer.logged(index).0.into(),
+            Variable::Status => self.status().into(),
+            Variable::StatusBit(bit) => (self.status() >> bit & 1).into(),
+            Variable::Trip(index) => self.sequencer.logged(index).into(),
         }
     }
 
     /// The status word. Braking transistor, its resistor and the mains are always in order.
-    fn status(&self) -> StatusWord {
-        use StatusWord as W;
+    fn status(&self) -> u16 {
         let number = |place| f64::from(self.parameters.get(place));
         let active = self.sequencer.is_active();
         let running = active && self.sequencer.is_running();
@@ -188,7 +182,7 @@ impl Drive {
         let above = speed.abs() > set.abs() + number(table::AT_SPEED_ABOVE);
         let minimum = (number(table::MINIMUM_REFERENCE) / 10.0).max(0.0) + number(table::ZERO_SPEED);
         let load = self.motor.load_percent();
-        let bits = [
+        set_bits([
             (self.motor.power.fault().is_none(), W::HEALTHY),
             (active, W::ACTIVE),
             (self.is_standing(), W::ZERO_SPEED),
@@ -201,7 +195,6 @@ impl Drive {
             (active && !self.is_standing() && load < 0.0, W::REGENERATING),
             (self.sequencer.is_reversed(), W::REVERSE_COMMANDED),
             (speed < 0.0 && !self.is_standing(), W::REVERSE_RUNNING),
-        ];
-        StatusWord(set_bits(bits))
+        ])
     }
 }

@@ -4,6 +4,7 @@
 //!
 //! | file | what |
 //! |---|---|
+//! | `codec` | messages, addresses, bits and trips |
 //! | `settings` | the properties of a drive, and its state at the start |
 //! | `table`, `database` | the parameters, and their values; what menu 0 shows |
 //! | `sequencer` | control word, hardware enable, trips, watchdogs |
@@ -26,6 +27,7 @@
 //! | a new addressing mode (S.15.013) | counts from the next start on |
 //! | a write that was not saved | is lost at a restart |
 
+pub mod codec;
 pub(super) mod config;
 mod database;
 mod drive;
@@ -43,35 +45,16 @@ use self::drive::Drive;
 use self::server::Server;
 use crate::{Carrier, FaultPlan, SimBus, SimDrive, Simulated, Truth};
 use fieldbeat_core::time::Time;
-use fieldbeat_modbus::trips::Trip;
-use fieldbeat_modbus::{ModbusPlan, UnidriveDrive};
 
 /// The simulated drives of a Modbus TCP bus.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Unidrives(pub Vec<UnidriveSettings>);
-
-impl Unidrives {
-    /// A drive with default settings for each of the bus.
-    pub fn of(plan: &ModbusPlan) -> Unidrives {
-        Unidrives(plan.drives.iter().map(UnidriveSettings::of).collect())
-    }
-}
 
 impl SimBus for Unidrives {
     fn build(&self, to: &mut Simulated) {
         to.drives.extend(
             self.0.iter().map(|drive| Box::new(UnidriveSim::new(drive.clone())) as Box<dyn SimDrive>),
         );
-    }
-}
-
-impl UnidriveSettings {
-    /// A drive with default settings at the address of `drive`, with its serial number, addressing and slot.
-    pub fn of(drive: &UnidriveDrive) -> UnidriveSettings {
-        let mut settings = UnidriveSettings::new(drive.address);
-        settings.serial = drive.serial.unwrap_or_default();
-        (settings.interface.addressing, settings.interface.slot) = (drive.addressing, drive.slot);
-        settings
     }
 }
 
@@ -97,7 +80,7 @@ impl UnidriveSim {
     }
 
     /// Trips the drive, as if its hardware had.
-    pub fn provoke(&mut self, trip: Trip) {
+    pub fn provoke(&mut self, trip: u16) {
         self.drive.trip(trip);
     }
 

@@ -7,10 +7,13 @@ use super::settings::{MotorSettings, UnidriveSettings};
 use crate::physics::PlantPlan;
 use crate::power::{Aim, PowerDrive, PowerPlan, RPM};
 use fieldbeat_core::time::{MS, S};
-use fieldbeat_modbus::trips::Trip;
 
 /// One scan of sequencer and motor; also the drive's reaction time.
 const SCAN_NS: u64 = MS;
+
+/// The current of the motor at its rated torque, A, and its pole pairs.
+const RATED_CURRENT: f64 = 3.0;
+const POLE_PAIRS: f64 = 3.0;
 
 /// The DC bus of a drive on 400 V mains, V.
 const DC_BUS: f64 = 565.0;
@@ -34,7 +37,7 @@ pub(super) struct Demand {
 #[derive(Debug)]
 pub(super) struct Motor {
     settings: MotorSettings,
-    pub(super) power: PowerDrive<Trip>,
+    pub(super) power: PowerDrive<u16>,
     /// Post-ramp reference, rpm.
     ramp: f64,
     /// The same with the added offset.
@@ -138,12 +141,12 @@ impl Motor {
 
     /// Current, A.
     pub(super) fn current(&self) -> f64 {
-        (self.torque / self.settings.rated_nm).abs() * self.settings.rated_a
+        (self.torque / self.settings.rated_nm).abs() * RATED_CURRENT
     }
 
     /// Output frequency, Hz.
     pub(super) fn frequency(&self) -> f64 {
-        self.speed() / 60.0 * f64::from(self.settings.pole_pairs)
+        self.speed() / 60.0 * POLE_PAIRS
     }
 
     /// DC bus voltage, V.

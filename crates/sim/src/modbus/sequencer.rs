@@ -18,13 +18,12 @@
 
 use std::collections::VecDeque;
 
+use super::codec::{control as C, trip};
 use super::database::Database;
 use super::settings::{UnidriveSettings, Watchdog};
 use super::table;
 use crate::power::{PowerDrive, Reset};
 use fieldbeat_core::time::MS;
-use fieldbeat_modbus::trips::Trip;
-use fieldbeat_modbus::words::ControlWord;
 
 /// Entries of the trip log: 10.020 ... 10.029.
 const LOG: usize = 10;
@@ -36,16 +35,20 @@ const COASTING: i32 = 0;
 
 /// The values of the terminals, and the bits of the control word with the same effect.
 const TERMINALS: [(usize, u16); 6] = [
-    (table::RUN_FORWARD, ControlWord::RUN_FORWARD),
-    (table::JOG_FORWARD, ControlWord::JOG_FORWARD),
-    (table::RUN_REVERSE, ControlWord::RUN_REVERSE),
-    (table::REVERSE, ControlWord::REVERSE),
-    (table::RUN, ControlWord::RUN),
-    (table::NOT_STOP, ControlWord::NOT_STOP),
+    (table::RUN_FORWARD, C::RUN_FORWARD),
+    (table::JOG_FORWARD, C::JOG_FORWARD),
+    (table::RUN_REVERSE, C::RUN_REVERSE),
+    (table::REVERSE, C::REVERSE),
+    (table::RUN, C::RUN),
+    (table::NOT_STOP, C::NOT_STOP),
 ];
 
+fn has(word: u16, bit: u16) -> bool {
+    word & bit != 0
+}
+
 /// The power drive that it commands.
-type Power = PowerDrive<Trip>;
+type Power = PowerDrive<u16>;
 
 /// A run command.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -58,13 +61,13 @@ struct Run {
 #[derive(Debug)]
 pub(super) struct Sequencer {
     /// The trip whose cause persists.
-    persistent: Option<Trip>,
+    persistent: Option<u16>,
     watchdog: Watchdog,
     overcurrent_wait_ns: u64,
     /// The trip of an interface that receives nothing any more.
-    link_trip: Trip,
+    link_trip: u16,
     /// The newest first.
-    log: VecDeque<Trip>,
+    log: VecDeque<u16>,
     /// Until the control word has to be written again, ns.
     served_ns: Option<u64>,
     /// Until something has to be received again, ns.
@@ -78,10 +81,10 @@ pub(super) struct Sequencer {
 impl Sequencer {
     pub(super) fn new(settings: &UnidriveSettings, power: &mut Power) -> Sequencer {
         let mut sequencer = Sequencer {
-            persistent: settings.persistent_trip.map(Trip),
+            persistent: settings.persistent_trip,
             watchdog: settings.watchdog,
             overcurrent_wait_ns: settings.overcurrent_wait_ns,
-            link_trip: slot_error(settings.interface.slot),
+            link_trip: trip::slot_error(settings.interface.slot),
             log: VecDeque::with_capacity(LOG),
             served_ns: None,
             received_ns: None,
@@ -104,8 +107,8 @@ impl Sequencer {
     }
 
     /// Trips the drive. The first trip stays.
-    pub(super) fn trip(&mut self, power: &mut Power, trip: Trip) {
-        let wait_ns = if trip == Trip::OVER_CURRENT { self.overcurrent_wait_ns } else { 0 };
+    pub(super) fn trip(&mut self, power: &mut Power, trip: u16) {
+        let wait_ns = if trip == trip::OVER_CURRENT { self.overcurrent_wait_ns } else { 0 };
         if !power.fail(trip, Reset::After(wait_ns)) {
             return;
         }
@@ -125,30 +128,30 @@ impl Sequencer {
 
     /// The control word was written while 06.043 is 1; whether it resets the drive.
     #[must_use]
-    pub(super) fn control(&mut self, power: &mut Power, before: ControlWord, word: ControlWord) -> bool {
-        let rising = |bit| word.has(bit) && !before.has(bit);
+    pub(super) fn control(&mut self, power: &mut Power, before: u16, word: u16) -> bool {
+        let rising = |bit| has(word & !before, bit);
         let Watchdog { time_ns, edges_only, held } = self.watchdog;
-        match word.has(ControlWord::KEYPAD_WATCHDOG) {
-            true if power.fault().is_some() || edges_only && !rising(ControlWord::KEYPAD_WATCHDOG) => {}
+        match has(word, C::KEYPAD_WATCHDOG) {
+            true if power.fault().is_some() || edges_only && !rising(C::KEYPAD_WATCHDOG) => {}
             true => self.served_ns = Some(time_ns),
             false if edges_only || held => {}
             false => self.served_ns = None,
         }
-        if rising(ControlWord::TRIP) {
-            self.trip(power, Trip::CONTROL_WORD);
+        if rising(C::TRIP) {
+            self.trip(power, trip::CONTROL_WORD);
         }
-        rising(ControlWord::RESET)
+        rising(C::RESET)
     }
 
     /// 10.038 was written; whether it resets the drive.
     #[must_use]
     pub(super) fn user_trip(&mut self, power: &mut Power, number: u16) -> bool {
         match number {
-            0 | Trip::USER_RESET => {}
-            Trip::USER_CLEAR => self.log.clear(),
-            _ => self.trip(power, Trip(number)),
+            0 | trip::USER_RESET => {}
+            trip::USER_CLEAR => self.log.clear(),
+            _ => self.trip(power, number),
         }
-        number == Trip::USER_RESET
+        number == trip::USER_RESET
     }
 
     /// The Ethernet interface took in a request.
@@ -159,7 +162,7 @@ impl Sequencer {
     /// Lets `dt_ns` pass: watchdogs, then the commands.
     pub(super) fn step(&mut self, dt_ns: u64, parameters: &Database, power: &mut Power, standing: bool) {
         if runs_out(&mut self.served_ns, dt_ns) {
-            self.trip(power, Trip::WATCHDOG);
+            self.trip(power, trip::WATCHDOG);
         }
         if runs_out(&mut self.received_ns, dt_ns) {
             self.trip(power, self.link_trip);
@@ -169,7 +172,7 @@ impl Sequencer {
         let enabled = power.is_enabled()
             && power.fault().is_none()
             && parameters.is_on(table::DRIVE_ENABLE)
-            && control.has(ControlWord::ENABLE);
+            && has(control, C::ENABLE);
         self.running = self.command(control, parameters).filter(|_| enabled);
         let stops = self.active && !standing;
         let holds = parameters.is_on(table::HOLD_ZERO_SPEED) && (self.active || by_word.is_some());
@@ -181,12 +184,12 @@ impl Sequencer {
     }
 
     /// The run command of the control word, latched or not.
-    fn command(&mut self, control: ControlWord, parameters: &Database) -> Option<Run> {
+    fn command(&mut self, control: u16, parameters: &Database) -> Option<Run> {
         let command = run(control);
         if !LATCHING.contains(&parameters.get(table::START_LOGIC)) {
             return command;
         }
-        self.latched = match control.has(ControlWord::NOT_STOP) {
+        self.latched = match has(control, C::NOT_STOP) {
             true => command.or(self.latched),
             false => None,
         };
@@ -219,36 +222,35 @@ impl Sequencer {
     }
 
     /// An entry of the log, 0 being the newest.
-    pub(super) fn logged(&self, index: u8) -> Trip {
-        self.log.get(usize::from(index)).copied().unwrap_or(Trip::NONE)
+    pub(super) fn logged(&self, index: u8) -> u16 {
+        self.log.get(usize::from(index)).copied().unwrap_or(trip::NONE)
     }
 }
 
 /// The control word, while it is followed.
-pub(super) fn obeyed(parameters: &Database) -> Option<ControlWord> {
-    let word = ControlWord(parameters.get(table::CONTROL_WORD) as u16);
-    (parameters.is_on(table::CONTROL_WORD_ENABLE) && word.has(ControlWord::AUTO)).then_some(word)
+pub(super) fn obeyed(parameters: &Database) -> Option<u16> {
+    let word = parameters.get(table::CONTROL_WORD) as u16;
+    (parameters.is_on(table::CONTROL_WORD_ENABLE) && has(word, C::AUTO)).then_some(word)
 }
 
 /// The state of the terminals, as a control word.
-fn terminals(parameters: &Database) -> ControlWord {
+fn terminals(parameters: &Database) -> u16 {
     let bits = TERMINALS.iter().filter(|(place, _)| parameters.is_on(*place));
-    ControlWord(bits.fold(ControlWord::ENABLE, |word, (_, bit)| word | bit))
+    bits.fold(C::ENABLE, |word, (_, bit)| word | bit)
 }
 
 /// The run command in a control word.
-fn run(word: ControlWord) -> Option<Run> {
-    use ControlWord as C;
+fn run(word: u16) -> Option<Run> {
     let one = |forward: bool, reverse: bool, jog| (forward != reverse).then_some(Run { reverse, jog });
-    if word.has_any(C::RUN_FORWARD | C::RUN_REVERSE | C::RUN) {
-        let (run, reverse) = (word.has(C::RUN), word.has(C::REVERSE));
+    if word & (C::RUN_FORWARD | C::RUN_REVERSE | C::RUN) != 0 {
+        let (run, reverse) = (has(word, C::RUN), has(word, C::REVERSE));
         return one(
-            word.has(C::RUN_FORWARD) || run && !reverse,
-            word.has(C::RUN_REVERSE) || run && reverse,
+            has(word, C::RUN_FORWARD) || run && !reverse,
+            has(word, C::RUN_REVERSE) || run && reverse,
             false,
         );
     }
-    one(word.has(C::JOG_FORWARD), word.has(C::JOG_REVERSE), true)
+    one(has(word, C::JOG_FORWARD), has(word, C::JOG_REVERSE), true)
 }
 
 /// The reference as selected, within its limits, 0.1 rpm.
@@ -274,14 +276,4 @@ pub(super) fn selected(parameters: &Database) -> i32 {
 fn runs_out(left: &mut Option<u64>, dt_ns: u64) -> bool {
     *left = left.map(|left| left.saturating_sub(dt_ns));
     left.take_if(|left| *left == 0).is_some()
-}
-
-/// "Slot error" of the slot that the interface is in (assumed).
-const fn slot_error(slot: u8) -> Trip {
-    match slot {
-        1 => Trip(202),
-        2 => Trip(207),
-        3 => Trip(212),
-        _ => Trip(252),
-    }
 }

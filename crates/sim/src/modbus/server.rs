@@ -7,21 +7,17 @@
 //! |---|---|
 //! | a header that is no Modbus, lengths that contradict each other | the connection ends |
 //! | 0 registers, an odd number of them with 32-bit access, function 6 with 32-bit access, bit 15 | exception 02 |
-//! | a parameter that does not exist | exception 02, and nothing is written or read (a setting for reading) |
+//! | a parameter that does not exist, an unknown unit | exception 02, and nothing is written or read (a setting for reading a parameter) |
 //! | a value out of range, a parameter that is read only | function 16 stops there and counts the registers that it has written; 6 and 23 give no error |
 //! | function 23 | writes, then reads (a setting: refuses it, ignores it, ends the connection, takes few registers) |
 //! | a 16-bit write to a 32-bit parameter | carries the sign, if the parameter has one |
 
 use std::net::SocketAddrV4;
 
+use super::codec::{self, ADU_MAX, Exception, Header, INTERFACE_UNIT, NoModbus, Request, Response, function};
 use super::drive::Drive;
 use super::settings::{Holes, Interface, ReadWrite};
 use super::table;
-use fieldbeat_modbus::parameter::{DRIVE_UNIT, INTERFACE_UNIT, Parameter, Width};
-use fieldbeat_modbus::wire::{
-    self, ADU_MAX, ExceptionCode, Header, REGISTERS_MAX, Registers, RegistersBuffer, Request, RequestError,
-    RequestFault, Response, function,
-};
 
 /// One client.
 #[derive(Debug)]
@@ -42,14 +38,7 @@ pub(super) struct Server {
 
 impl Server {
     pub(super) fn new(interface: &Interface) -> Server {
-        Server {
-            connections: Vec::with_capacity(interface.connections),
-            service: Service {
-                interface: interface.clone(),
-                places: Vec::with_capacity(2 * usize::from(REGISTERS_MAX)),
-                registers: RegistersBuffer::new(),
-            },
-        }
+        Server { connections: Vec::new(), service: Service { interface: interface.clone() } }
     }
 
     /// A client connects; false if there are too many.
@@ -90,10 +79,10 @@ impl Server {
         let (mut taken, mut is_first) = (0, true);
         loop {
             let rest = &connection.bytes[taken..];
-            let size = match wire::frame(rest) {
+            let size = match codec::message(rest) {
                 Ok(Some(size)) => size,
                 Ok(None) => break,
-                Err(_) => {
+                Err(NoModbus) => {
                     connection.broken = true;
                     break;
                 }
@@ -111,179 +100,147 @@ impl Server {
     }
 }
 
-/// A message that is not Modbus: the connection has to end.
-#[derive(Debug)]
-struct NoModbus;
-
-/// The owner of the parameters of a unit id.
-#[derive(Clone, Copy, Debug)]
-enum Unit {
-    Drive,
-    Interface,
-}
-
 /// Answers the messages.
 #[derive(Debug)]
 struct Service {
     interface: Interface,
-    /// The table indices of the parameters of a message; `None` = a hole. The written ones come first.
+}
+
+/// The parameters of a block by their table indices, `None` = a hole, and whether they are accessed with 32 bits.
+struct Block {
     places: Vec<Option<usize>>,
-    registers: RegistersBuffer,
+    long: bool,
 }
 
 impl Service {
     /// Answers one message, or not.
-    fn answer(&mut self, adu: &[u8], drive: &mut Drive, reply: &mut Vec<u8>) -> Result<(), NoModbus> {
-        let (header, function, request) = match Request::parse(adu) {
-            Ok((header, request)) => (header, request.function(), Some(request)),
-            Err(RequestError { header, function, fault: RequestFault::Unsupported }) => {
-                (header, function, None)
-            }
-            Err(RequestError { fault: RequestFault::Malformed, .. }) => return Err(NoModbus),
-        };
-        let unit = self.unit(header.unit);
-        if unit.is_none() && !self.interface.refuses_units {
-            return Ok(());
-        }
-        match (self.interface.read_write, function) {
+    fn answer(&self, message: &[u8], drive: &mut Drive, reply: &mut Vec<u8>) -> Result<(), NoModbus> {
+        let (header, request) = codec::request(message)?;
+        match (self.interface.read_write, header.function) {
             (ReadWrite::Closes, function::READ_WRITE) => return Err(NoModbus),
-            (ReadWrite::Ignored, function::READ_WRITE) => {
-                drive.sequencer.received(drive.parameters.get(table::MODBUS_TIMEOUT));
-                return Ok(());
-            }
-            _ => {}
+            (ReadWrite::Ignored, function::READ_WRITE) => {}
+            _ => self.carry_out(header, request, drive, reply),
         }
-        let answering =
-            if header.unit == 0 && self.interface.answers_as_255 { DRIVE_UNIT } else { header.unit };
-        let response = match (unit, request) {
-            (None, _) => Err(ExceptionCode::ADDRESS),
-            (_, None) => Err(ExceptionCode::FUNCTION),
-            (Some(unit), Some(request)) => self.carry_out(unit, request, drive),
-        };
-        let response = response.unwrap_or_else(|code| Response::Exception { function, code });
         drive.sequencer.received(drive.parameters.get(table::MODBUS_TIMEOUT));
-        append(response, Header { unit: answering, ..header }, reply);
         Ok(())
     }
 
-    fn unit(&self, unit: u8) -> Option<Unit> {
-        match unit {
-            unit if self.interface.drive_units.contains(&unit) => Some(Unit::Drive),
-            unit if unit == INTERFACE_UNIT || unit == self.interface.slot => Some(Unit::Interface),
-            _ => None,
-        }
+    fn carry_out(&self, header: Header, request: Request<'_>, drive: &mut Drive, reply: &mut Vec<u8>) {
+        let mut data = Vec::new();
+        let result = self.execute(header.unit, request, drive, &mut data);
+        codec::respond(header, result.unwrap_or_else(Response::Exception), reply);
     }
 
-    fn carry_out(
-        &mut self,
-        unit: Unit,
+    fn execute<'a>(
+        &self,
+        unit: u8,
         request: Request<'_>,
         drive: &mut Drive,
-    ) -> Result<Response<'_>, ExceptionCode> {
-        self.places.clear();
+        read: &'a mut Vec<u8>,
+    ) -> Result<Response<'a>, Exception> {
+        let is_own = match unit {
+            unit if self.interface.drive_units.contains(&unit) => false,
+            unit if unit == INTERFACE_UNIT || unit == self.interface.slot => true,
+            _ => return Err(Exception::Address),
+        };
         match request {
             Request::Read { address, count } => {
-                let width = self.look_up(unit, address, count.into(), drive)?;
-                Ok(Response::Read { data: self.read(0, width, drive) })
+                let block = self.look_up(is_own, address, count.into(), drive)?;
+                block.read(drive, read);
+                Ok(Response::Data(read))
             }
             Request::WriteOne { address, value } => {
-                let data = value.to_be_bytes();
-                let width = self.look_up(unit, address, 1, drive)?;
-                self.refuse_holes()?;
-                self.write(width, Registers::new(&data).unwrap_or_default(), drive);
-                Ok(Response::WriteOne { address, value })
+                self.look_up_all(is_own, address, 1, drive)?.write(drive, &value);
+                Ok(Response::One { address, value })
             }
             Request::Write { address, data } => {
-                let width = self.look_up(unit, address, data.len(), drive)?;
-                self.refuse_holes()?;
-                Ok(Response::Written { address, count: self.write(width, data, drive) })
+                let block = self.look_up_all(is_own, address, data.len() / 2, drive)?;
+                Ok(Response::Written { address, count: block.write(drive, data) })
             }
-            Request::ReadWrite { read, count, write, data } => {
+            Request::ReadWrite { read: address, count, write, data } => {
+                let registers = data.len() / 2;
                 match self.interface.read_write {
-                    ReadWrite::Refused => return Err(ExceptionCode::FUNCTION),
-                    ReadWrite::UpTo(most) if data.len() + usize::from(count) > most.into() => {
-                        return Err(ExceptionCode::ADDRESS);
+                    ReadWrite::Refused => return Err(Exception::Function),
+                    ReadWrite::UpTo(most) if registers + usize::from(count) > most.into() => {
+                        return Err(Exception::Address);
                     }
                     _ => {}
                 }
-                let written = self.look_up(unit, write, data.len(), drive)?;
-                self.refuse_holes()?;
-                let first = self.places.len();
-                let width = self.look_up(unit, read, count.into(), drive)?;
-                self.write(written, data, drive);
-                Ok(Response::ReadWritten { data: self.read(first, width, drive) })
+                let written = self.look_up_all(is_own, write, registers, drive)?;
+                let block = self.look_up(is_own, address, count.into(), drive)?;
+                written.write(drive, data);
+                block.read(drive, read);
+                Ok(Response::Data(read))
             }
+            Request::Unsupported => Err(Exception::Function),
         }
     }
 
-    /// Looks up the parameters of a block, and returns how they are accessed.
+    /// Looks up the parameters of a block, of the interface or of the drive.
     fn look_up(
-        &mut self,
-        unit: Unit,
+        &self,
+        is_own: bool,
         address: u16,
         registers: usize,
         drive: &Drive,
-    ) -> Result<Width, ExceptionCode> {
-        let addressing = drive.parameters.addressing();
-        let (_, width) = Parameter::from_address(address, addressing).ok_or(ExceptionCode::ADDRESS)?;
-        let each = usize::from(width.registers());
-        if !(1..=usize::from(self.interface.registers)).contains(&registers)
-            || !registers.is_multiple_of(each)
-        {
-            return Err(ExceptionCode::ADDRESS);
+    ) -> Result<Block, Exception> {
+        let modified = drive.parameters.is_modified();
+        let first = codec::place(address, modified).ok_or(Exception::Address)?;
+        let each = if first.long { 2 } else { 1 };
+        if !(1..=usize::from(codec::REGISTERS_MAX)).contains(&registers) || registers % each != 0 {
+            return Err(Exception::Address);
         }
+        let mut places = Vec::new();
         for index in 0..(registers / each) as u16 {
-            let parameter = Parameter::from_address(address.wrapping_add(index), addressing);
-            let (parameter, _) =
-                parameter.filter(|(_, like)| *like == width).ok_or(ExceptionCode::ADDRESS)?;
-            let place = match unit {
-                Unit::Drive => drive.parameters.find(parameter),
-                Unit::Interface => drive.parameters.find_own(parameter),
-            };
-            if place.is_none() && self.interface.holes == Holes::Refused {
-                return Err(ExceptionCode::ADDRESS);
+            let place = codec::place(address.wrapping_add(index), modified);
+            let place = place.filter(|place| place.long == first.long).ok_or(Exception::Address)?;
+            let found = drive.parameters.find(place.menu, place.number, is_own);
+            if found.is_none() && self.interface.holes == Holes::Refused {
+                return Err(Exception::Address);
             }
-            self.places.push(place);
+            places.push(found);
         }
-        Ok(width)
+        Ok(Block { places, long: first.long })
     }
 
-    /// A written block may have no holes, unlike a read one.
-    fn refuse_holes(&self) -> Result<(), ExceptionCode> {
-        if self.places.contains(&None) { Err(ExceptionCode::ADDRESS) } else { Ok(()) }
+    /// The same for a block that is written: it may have no holes.
+    fn look_up_all(
+        &self,
+        is_own: bool,
+        address: u16,
+        registers: usize,
+        drive: &Drive,
+    ) -> Result<Block, Exception> {
+        let block = self.look_up(is_own, address, registers, drive)?;
+        if block.places.contains(&None) { Err(Exception::Address) } else { Ok(block) }
     }
+}
 
-    /// Writes the parameters at the front, up to the first one that is refused; returns how many registers were
-    /// written.
-    fn write(&self, width: Width, data: Registers<'_>, drive: &mut Drive) -> u16 {
+impl Block {
+    /// Writes up to the first value that is refused; returns how many registers were written.
+    fn write(&self, drive: &mut Drive, data: &[u8]) -> u16 {
+        let width = if self.long { 4 } else { 2 };
+        let values = data.chunks_exact(width);
         let mut written = 0;
-        for (index, place) in self.places.iter().flatten().enumerate() {
-            let value = match width {
-                Width::Word => data.word(index).map(|word| drive.parameters.row(*place).word(word)),
-                Width::Long => data.long(index),
+        for (place, value) in self.places.iter().flatten().zip(values) {
+            let value = match *value {
+                [a, b, c, d] => i32::from_be_bytes([a, b, c, d]),
+                [a, b] => drive.parameters.row(*place).word([a, b]),
+                _ => break,
             };
-            if !value.is_some_and(|value| drive.write(*place, value)) {
+            if !drive.write(*place, value) {
                 break;
             }
-            written += width.registers();
+            written += width as u16 / 2;
         }
         written
     }
 
-    /// Reads the parameters from this one on.
-    fn read(&mut self, first: usize, width: Width, drive: &Drive) -> Registers<'_> {
-        self.registers.clear();
-        for place in &self.places[first..] {
-            let value = place.map_or(0, |place| drive.read(place));
-            self.registers.push_raw(width, value.cast_unsigned());
+    /// Reads them; of a 32-bit parameter that is accessed with 16 bits, the low ones.
+    fn read(&self, drive: &Drive, data: &mut Vec<u8>) {
+        for place in &self.places {
+            let bytes = place.map_or(0, |place| drive.read(place)).to_be_bytes();
+            data.extend(if self.long { &bytes[..] } else { &bytes[2..] });
         }
-        self.registers.registers()
     }
-}
-
-fn append(response: Response<'_>, header: Header, reply: &mut Vec<u8>) {
-    let start = reply.len();
-    reply.resize(start + response.size(), 0);
-    let size = response.emit(header, &mut reply[start..]);
-    reply.truncate(start + size);
 }

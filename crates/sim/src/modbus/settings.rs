@@ -4,8 +4,6 @@ use std::net::SocketAddrV4;
 
 use crate::FaultPlan;
 use fieldbeat_core::time::{MS, S};
-use fieldbeat_modbus::parameter::{Addressing, Parameter};
-use fieldbeat_modbus::wire::REGISTERS_MAX;
 
 /// A simulated Unidrive. Where no document says what the drive does, the default is the strict side, and assumed.
 #[derive(Clone, Debug, PartialEq)]
@@ -34,9 +32,9 @@ pub struct UnidriveSettings {
     pub overcurrent_wait_ns: u64,
     /// From power-on until it listens, ns. Default 500 ms.
     pub boot_ns: u64,
-    /// Saved parameters that differ from the values as delivered. Unknown ones are ignored, values out of range are
-    /// clamped.
-    pub commissioned: Vec<(Parameter, i32)>,
+    /// Saved parameters, menu and number, that differ from the values as delivered; menu 15 is that of the Ethernet
+    /// interface. Unknown ones are ignored, values out of range are clamped.
+    pub commissioned: Vec<([u8; 2], i32)>,
 }
 
 impl UnidriveSettings {
@@ -63,24 +61,18 @@ impl UnidriveSettings {
 /// The Modbus side of a simulated Unidrive.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Interface {
-    /// How addresses are made of parameters: Pr S.15.013 as delivered.
-    pub addressing: Addressing,
+    /// Addresses are made of 256 parameters a menu: Pr S.15.013 as delivered. Default: of 100.
+    pub modified: bool,
     /// The slot of the Ethernet interface: 4 on M700 and M702, that of the option module on M701. Its unit id, too.
     pub slot: u8,
     /// The most connections at a time; further ones are refused. Default 4, assumed.
     pub connections: usize,
     /// What it does with FC23. Default: it has it.
     pub read_write: ReadWrite,
-    /// The most registers of a request in one direction. Default 120 (SI-Ethernet guide).
-    pub registers: u16,
     /// Menu 0 shows what Pr 22.001 ... 22.080 say. Without it there is no menu 0. Default true.
     pub menu_zero: bool,
     /// The unit ids of the drive. Default 0 and 255 (SI-Ethernet guide).
     pub drive_units: Vec<u8>,
-    /// Unit 255 answers requests to unit 0, as seen in the field. Default false.
-    pub answers_as_255: bool,
-    /// An unknown unit id gets exception 02, assumed; false: silence.
-    pub refuses_units: bool,
     /// Of several requests that come at once all are answered, in order. False: the first one only.
     pub pipelining: bool,
     /// A parameter that does not exist, inside a block that is read.
@@ -90,15 +82,12 @@ pub struct Interface {
 impl Default for Interface {
     fn default() -> Interface {
         Interface {
-            addressing: Addressing::Standard,
+            modified: false,
             slot: 4,
             connections: 4,
             read_write: ReadWrite::default(),
-            registers: REGISTERS_MAX,
             menu_zero: true,
             drive_units: vec![0, 255],
-            answers_as_255: false,
-            refuses_units: true,
             pipelining: true,
             holes: Holes::default(),
         }
@@ -138,12 +127,6 @@ pub struct MotorSettings {
     pub rated_rpm: f64,
     /// Rated torque, N m, over 0: 100 % load. Default 5.
     pub rated_nm: f64,
-    /// Rated current, A, at rated torque. Default 3.
-    pub rated_a: f64,
-    /// Largest torque that the drive allows, % of the rated torque: Pr 04.007 as delivered. Default 250.
-    pub limit_percent: f64,
-    /// Pole pairs. Default 3.
-    pub pole_pairs: u8,
     /// Inertia of everything that turns, kg m^2, over 0. Default 0.005.
     pub inertia_kgm2: f64,
     /// Load torque at rated speed, N m; it grows with speed. Default 1.5.
@@ -157,9 +140,6 @@ impl Default for MotorSettings {
         MotorSettings {
             rated_rpm: 3000.0,
             rated_nm: 5.0,
-            rated_a: 3.0,
-            limit_percent: 250.0,
-            pole_pairs: 3,
             inertia_kgm2: 0.005,
             load_nm: 1.5,
             friction_nm: 0.1,

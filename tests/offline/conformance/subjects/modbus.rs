@@ -118,7 +118,7 @@ impl Subject for Modbus {
             ramps_s: (0.01, 0.01),
             start: if drive.running { Start::Running(240.0) } else { Start::Idle },
             // One of them was commissioned to follow the control word, which it keeps when it restarts.
-            commissioned: if self.direct { vec![(Parameter::CONTROL_WORD_ENABLE, 1)] } else { Vec::new() },
+            commissioned: if self.direct { vec![([6, 43], 1)] } else { Vec::new() },
             ..UnidriveSettings::new(address(index))
         };
         SimPlan::from(Unidrives(drives.iter().enumerate().map(settings).collect())).build()

@@ -13,8 +13,8 @@ use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::ethercat::{EthercatPlan, Family, KollmorgenDrive};
 use fieldbeat::bus::ethernet_ip::{EthernetIpPlan, Explicit, Homing, HomingMethod, MoonsDrive};
 use fieldbeat::bus::linudp::motion::{Acceleration, MotionCommand, Position, Velocity};
-use fieldbeat::bus::linudp::{ControlWord, ErrorCode, LinUdpDrive, ReplyTag};
-use fieldbeat::bus::modbus::{ModbusPlan, Parameter, Trip, UnidriveDrive, Via};
+use fieldbeat::bus::linudp::{ControlWord, LinUdpDrive, ReplyTag};
+use fieldbeat::bus::modbus::{ModbusPlan, UnidriveDrive, Via};
 use fieldbeat::bus::profibus::{DriveProfile, LenzeDrive, Numbers, ParameterPath, ProfibusPlan};
 use fieldbeat::sim::ethercat::{EthercatSegment, EthercatSim};
 use fieldbeat::sim::ethernet_ip::{ClockSettings, Edges, MoonsSettings, MoonsSim};
@@ -519,7 +519,7 @@ impl Held {
                 let drives: Vec<_> = places.map(|index| unidrive(index, shape)).collect();
                 if fresh {
                     // Half of them were commissioned to follow the control word, which they keep when they restart.
-                    let kept = shape.hold.then_some((Parameter::CONTROL_WORD_ENABLE, 1));
+                    let kept = shape.hold.then_some(([6, 43], 1));
                     let settings = |drive| UnidriveSettings {
                         ramps_s: (0.005, 0.005),
                         commissioned: kept.into_iter().collect(),
@@ -737,10 +737,10 @@ impl Machine {
     pub fn provoke(&self, index: usize) {
         match self.held.taps.get(index) {
             Some(tap) => match &mut tap.lock().drive {
-                Drive::LinMot(drive) => drive.provoke(ErrorCode(0x0B)),
+                Drive::LinMot(drive) => drive.provoke(0x0B),
                 // Open motor winding.
                 Drive::Moons(drive) => drive.provoke(0x0100),
-                Drive::Unidrive(drive) => drive.provoke(Trip(40)),
+                Drive::Unidrive(drive) => drive.provoke(40),
             },
             // Its phase current is too large.
             None if let Some(wire) = &self.held.wire => wire.drives[index].lock().drive.provoke(0x2310),
@@ -754,7 +754,7 @@ impl Machine {
     /// A fault by which the drive reacts to the silence of its master, where it has one.
     pub fn silence(&self, index: usize) {
         match self.held.taps.get(index) {
-            Some(tap) if let Drive::Unidrive(drive) = &mut tap.lock().drive => drive.provoke(Trip(252)),
+            Some(tap) if let Drive::Unidrive(drive) = &mut tap.lock().drive => drive.provoke(252),
             None if self.held.wire.is_none() => {
                 let fault = fieldbeat_ethercat::faults::Fault::SYNCHRONISATION;
                 self.at_line(|line| line.drive(index).expect("there is a drive").provoke(fault));

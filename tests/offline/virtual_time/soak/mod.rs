@@ -5,7 +5,6 @@ mod random;
 use std::path::Path;
 
 use fieldbeat::axis::{Link, StopCause};
-use fieldbeat::bus::modbus::Parameter;
 use fieldbeat::config::{Configuration, parse};
 use fieldbeat::sim::WorldOptions;
 use fieldbeat::sim::modbus::{Start, UnidriveSettings, UnidriveSim};
@@ -81,7 +80,7 @@ impl Test {
         let mut simulated = setup.simulation().build();
         if let (Some(start), Some(drive)) = (start, simulated.drives.last_mut()) {
             // Its master had set it up.
-            let commissioned = vec![(Parameter::CONTROL_WORD_ENABLE, 1)];
+            let commissioned = vec![([6, 43], 1)];
             let settings = UnidriveSettings::new(drive.address());
             *drive = Box::new(UnidriveSim::new(UnidriveSettings { commissioned, start, ..settings }));
         }

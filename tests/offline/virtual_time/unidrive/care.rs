@@ -104,7 +104,7 @@ fn a_second_trip_is_never_called_by_the_name_of_the_first() {
         let mut b = Bench::enabled(1, via, |_, _| {});
         for trip in [Trip::OVER_VOLTS, Trip::MOTOR_TOO_HOT, Trip::OVER_VOLTS] {
             b.turning(0, 4.0);
-            b.tap(0).drive.provoke(trip);
+            b.tap(0).drive.provoke(trip.0);
             let mut named = 0;
             while named == 0 {
                 b.run(1);

@@ -310,7 +310,7 @@ fn a_value_that_the_drive_refuses_is_found_out_and_ends_the_order() {
 #[test]
 fn an_over_current_trip_is_reset_as_soon_as_the_drive_takes_it_and_not_before() {
     let mut b = Bench::enabled(1, Via::Direct, |_, _| {});
-    b.tap(0).drive.provoke(Trip::OVER_CURRENT);
+    b.tap(0).drive.provoke(Trip::OVER_CURRENT.0);
     let begin = b.now();
     b.stopped(0, 100);
     // The stop sequence runs to its end before anything else is taken.
@@ -475,7 +475,7 @@ fn a_drive_that_is_busy_in_any_rhythm_is_set_up_and_reports_all_parameters() {
                     let age = b.feedback(0).age;
                     assert!(age <= 20, "{what}: {age} cycles");
                 }
-                b.tap(0).drive.provoke(Trip::OVER_VOLTS);
+                b.tap(0).drive.provoke(Trip::OVER_VOLTS.0);
                 b.until(&what, 100, |b| b.feedback(0).status.fault == u32::from(Trip::OVER_VOLTS.0));
                 b.run(100);
                 b.recover(0);
@@ -575,7 +575,7 @@ fn a_drive_that_is_found_running_fails_no_run_and_neither_does_its_group() {
             // Somebody goes on with it, and it trips.
             b.done(1, Command::Reset);
             b.done(1, Command::Enable);
-            b.tap(1).drive.provoke(Trip::OVER_VOLTS);
+            b.tap(1).drive.provoke(Trip::OVER_VOLTS.0);
             b.run(50);
             assert_eq!(causes(&b), [Some(StopCause::Group), Some(StopCause::DriveFault)]);
             let summary = Summary::from(&b.sim);

@@ -10,8 +10,6 @@ pub const SETPOINT_SIZE: usize = 4;
 const TIME: u16 = 0x0003;
 /// Object type of a position over an encoder.
 const CAM: u16 = 0x0103;
-/// Dimension of a position.
-const POSITION: u16 = 5;
 
 /// A curve: equidistant setpoints over its length.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -37,8 +35,7 @@ impl Curve {
             && usize::from(word(4)?) == setpoints.len()
             && setpoints.len() >= 2
             && rest.is_empty()
-            && usize::from(word(6)?) == SETPOINT_SIZE
-            && word(38)? == POSITION;
+            && usize::from(word(6)?) == SETPOINT_SIZE;
         let setpoints = setpoints.iter().map(|bytes| i32::from_le_bytes(*bytes)).collect();
         is_valid.then_some(Curve { id: word(30)?, is_time: kind == TIME, length, setpoints })
     }

@@ -1,12 +1,12 @@
 //! Functions, exceptions and silent refusals (SI-Ethernet guide, Commander SE guide).
 
 use super::*;
+use crate::modbus::codec::message;
 use crate::testing::hex;
-use fieldbeat_modbus::wire::frame;
 use proptest::prelude::*;
 
-const ADDRESS: Option<ExceptionCode> = Some(ExceptionCode::ADDRESS);
-const FUNCTION: Option<ExceptionCode> = Some(ExceptionCode::FUNCTION);
+const ADDRESS: u8 = Exception::Address as u8;
+const FUNCTION: u8 = Exception::Function as u8;
 
 /// FC16 of the M701 manual, page 129: 12345 to Pr 20.021 ... 20.023.
 const SEED_WRITE: &str = "002A 0000 0013 FF10 47E4 0006 0C 00003039 00003039 00003039";
@@ -25,48 +25,53 @@ fn the_block_of_the_m701_manual_is_written_and_read_back() {
 #[test]
 fn function_23_of_the_si_ethernet_guide_reads_three_other_parameters() {
     let mut bench = Bench::new(|_| {});
-    assert_eq!(bench.write_block(parameter("20.024"), &[1, -2, i32::MAX]), 6);
+    assert_eq!(bench.write_block([20, 24], &[1, -2, i32::MAX]), Ok(6));
     let reply = bench.raw(&hex(GUIDE_READ_WRITE));
     assert_eq!(reply, hex("002A 0000 000F FF17 0C 00000001 FFFFFFFE 7FFFFFFF"));
     assert_eq!(bench.read_block(APPLICATION), [12_345, 12_345, 12_345]);
 }
 
 #[test]
-fn a_hole_in_a_block_is_exception_02_or_reads_as_0() {
-    // 10.029 is the last trip; there is no 10.030.
-    let block = Request::Read { address: 10 * 100 + 28, count: 2 };
-    assert_eq!(Bench::new(|_| {}).exception(&block), ADDRESS);
+fn requests_that_the_drive_does_not_take_are_exceptions_and_write_nothing() {
+    let mut bench = Bench::new(|_| {});
+    let one = longs(&[5]);
+    for (function, words, data, exception) in [
+        (4, &[0x47E4, 2][..], &[][..], FUNCTION),
+        (1, &[0, 1], &[], FUNCTION),
+        // No register, too many, half a parameter, bit 15.
+        (function::READ, &[0x47E4, 0], &[], ADDRESS),
+        (function::READ, &[0x07D0, 121], &[], ADDRESS),
+        (function::READ, &[0x47E4, 3], &[], ADDRESS),
+        (function::READ, &[0x87E4, 2], &[], ADDRESS),
+        // A hole: 10.029 is the last trip; there is no 10.030, nor 20.041.
+        (function::READ, &[10 * 100 + 28, 2], &[], ADDRESS),
+        (function::WRITE, &[0x4000 + 2039, 4], &longs(&[5, 5]), ADDRESS),
+        (function::READ_WRITE, &[0x4405, 4, 0x47E4, 2], &one, ADDRESS),
+        (function::WRITE_ONE, &[0x4282, 1], &[], ADDRESS),
+    ] {
+        assert_eq!(bench.ask(DRIVE_UNIT, function, words, data), Err(exception), "{function} {words:04X?}");
+    }
+    assert_eq!((bench.read([20, 40]), bench.read(APPLICATION), bench.read(CONTROL_WORD_ENABLE)), (0, 0, 0));
+}
+
+#[test]
+fn a_hole_reads_as_0_if_so_set_and_is_never_written() {
     let mut bench = Bench::new(|settings| {
         settings.interface.holes = Holes::Zero;
         settings.start = Start::Tripped(2);
     });
-    let block = Request::Read { address: 10 * 100 + 15, count: 5 };
-    bench.ask(DRIVE_UNIT, &block, |response| {
-        let Response::Read { data } = response else { panic!("{response:?}") };
-        assert!(data.words().eq([0, 0, 0, 0, 2]));
-    });
-    // Written it is refused all the same, and nothing is written in front of it; nor if it is in what is read.
-    let data = longs(&[5; 2]);
-    let last = bench.address(parameter("20.040"), Width::Long);
-    assert_eq!(bench.exception(&Request::Write { address: last, data: data.registers() }), ADDRESS);
-    assert_eq!(bench.read(parameter("20.040")), 0);
-    let both = Request::ReadWrite { read: 0x4405, count: 4, write: 0x47E4, data: data.registers() };
-    let mut bench = Bench::new(|_| {});
-    assert_eq!((bench.exception(&both), bench.read(APPLICATION)), (ADDRESS, 0));
+    let read = bench.ask(DRIVE_UNIT, function::READ, &[10 * 100 + 15, 5], &[]);
+    assert_eq!(read, Ok(vec![10, 0, 0, 0, 0, 0, 0, 0, 0, 0, 2]));
+    assert_eq!((bench.write_block([20, 40], &[5; 2]), bench.read([20, 40])), (Err(ADDRESS), 0));
 }
 
 #[test]
-fn function_6_takes_16_bits_and_no_32_bit_address() {
+fn function_6_takes_16_bits() {
     let mut bench = Bench::new(|_| {});
-    let one = Request::WriteOne { address: 0x0282, value: 1 };
-    bench.ask(DRIVE_UNIT, &one, |response| {
-        assert_eq!(response, Response::WriteOne { address: 0x0282, value: 1 });
-    });
-    assert_eq!(bench.read(Parameter::CONTROL_WORD_ENABLE), 1);
-    assert_eq!(bench.exception(&Request::WriteOne { address: 0x4282, value: 0 }), ADDRESS);
-    assert_eq!(bench.read(Parameter::CONTROL_WORD_ENABLE), 1);
+    assert_eq!(bench.ask(DRIVE_UNIT, function::WRITE_ONE, &[0x0282, 1], &[]), Ok(vec![0x02, 0x82, 0, 1]));
+    assert_eq!(bench.read(CONTROL_WORD_ENABLE), 1);
     // To a 32-bit parameter the 16 bits carry their sign.
-    bench.exception(&Request::WriteOne { address: 0x07E4, value: 0xFFFE });
+    bench.ask(DRIVE_UNIT, function::WRITE_ONE, &[0x07E4, 0xFFFE], &[]).unwrap();
     assert_eq!(bench.read(APPLICATION), -2);
 }
 
@@ -84,23 +89,19 @@ fn units_are_the_drive_its_interface_or_nobody() {
         (7, false, false),
     ] {
         for (address, is_there) in [(version, drive), (timeout, interface)] {
-            let found = bench.ask(unit, &Request::Read { address, count: 2 }, |response| match response {
-                Response::Read { .. } => true,
-                Response::Exception { code, .. } => code != ExceptionCode::ADDRESS,
-                other => panic!("{other:?}"),
-            });
-            assert_eq!(found, is_there, "unit {unit}, {address:04X}h");
+            let answer = bench.ask(unit, function::READ, &[address, 2], &[]);
+            assert_eq!(answer.err(), (!is_there).then_some(ADDRESS), "unit {unit}, {address:04X}h");
         }
     }
 }
 
 #[test]
 fn modified_addressing_counts_256_a_menu() {
-    let mut bench = Bench::new(|settings| settings.interface.addressing = Addressing::Modified);
+    let mut bench = Bench::new(|settings| settings.interface.modified = true);
     bench.write(APPLICATION, 9);
-    assert_eq!(bench.address(APPLICATION, Width::Long), 0x4000 + 20 * 256 + 20);
-    assert_eq!(bench.read(APPLICATION), 9);
-    assert_eq!(bench.exception(&Request::Read { address: 0x47E4, count: 2 }), ADDRESS);
+    let read = bench.ask(DRIVE_UNIT, function::READ, &[0x4000 + 20 * 256 + 20, 2], &[]);
+    assert_eq!(read, Ok(vec![4, 0, 0, 0, 9]));
+    assert_eq!(bench.ask(DRIVE_UNIT, function::READ, &[0x47E4, 2], &[]), Err(ADDRESS));
 }
 
 proptest! {
@@ -133,8 +134,8 @@ proptest! {
         let check = |reply: &[u8]| {
             let mut rest = reply;
             while !rest.is_empty() {
-                let size = frame(rest).unwrap().unwrap();
-                assert!(Response::parse(&rest[..size]).is_ok(), "{rest:02X?}");
+                let size = message(rest).unwrap().unwrap();
+                assert!(size > 8, "{rest:02X?}");
                 rest = &rest[size..];
             }
         };
@@ -179,22 +180,19 @@ fn a_wrong_identity_is_another_transaction_and_nothing_else() {
 
 #[test]
 fn function_23_may_be_refused_or_ignored_or_end_the_connection_or_take_a_few_registers_only() {
-    let data = longs(&[77]);
-    let address = APPLICATION.address(Addressing::Standard, Width::Long).unwrap();
-    let both = Request::ReadWrite { read: address, count: 2, write: address, data: data.registers() };
-    for (read_write, hangs_up) in [(ReadWrite::Ignored, false), (ReadWrite::Closes, true)] {
+    for (read_write, answer, written, hangs_up) in [
+        (ReadWrite::Served, Ok(vec![4, 0, 0, 0, 77]), 77, false),
+        (ReadWrite::Ignored, Ok(vec![]), 0, false),
+        (ReadWrite::Closes, Ok(vec![]), 0, true),
+        (ReadWrite::Refused, Err(FUNCTION), 0, false),
+        (ReadWrite::UpTo(3), Err(ADDRESS), 0, false),
+        (ReadWrite::UpTo(4), Ok(vec![4, 0, 0, 0, 77]), 77, false),
+    ] {
         let mut bench = Bench::new(|settings| settings.interface.read_write = read_write);
-        let bytes = bench.request(DRIVE_UNIT, &both);
-        assert!(bench.raw(&bytes).is_empty());
-        assert_eq!(bench.sim.hangs_up(MASTER), hangs_up, "{read_write:?}");
+        let reply = bench.ask(DRIVE_UNIT, function::READ_WRITE, &[0x47E4, 2, 0x47E4, 2], &longs(&[77]));
+        assert_eq!((reply, bench.sim.hangs_up(MASTER)), (answer, hangs_up), "{read_write:?}");
         bench.sim.disconnected(bench.now, MASTER);
         assert!(bench.sim.connect(bench.now, MASTER));
-        assert_eq!(bench.read(APPLICATION), 0, "nothing was written");
-    }
-    for (read_write, exception, written) in
-        [(ReadWrite::Refused, FUNCTION, 0), (ReadWrite::UpTo(3), ADDRESS, 0), (ReadWrite::UpTo(4), None, 77)]
-    {
-        let mut bench = Bench::new(|settings| settings.interface.read_write = read_write);
-        assert_eq!((bench.exception(&both), bench.read(APPLICATION)), (exception, written), "{read_write:?}");
+        assert_eq!(bench.read(APPLICATION), written, "{read_write:?}");
     }
 }
