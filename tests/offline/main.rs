@@ -6,10 +6,12 @@
 //! | `config` | configurations: every mistake by its line, the samples, the defaults |
 //! | `conformance` | what every bus must do, clause by clause |
 //! | `virtual_time` | the whole machine in virtual time |
+//! | `codecs` | the codec of the master against that of the simulated drives, for each protocol |
 //! | `between` | simulated drives with something between them and the world |
 //! | `proposing` | buses that build requests which never leave |
 
 mod between;
+mod codecs;
 mod config;
 mod conformance;
 #[path = "../support/forward.rs"]
