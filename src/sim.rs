@@ -42,7 +42,7 @@ pub mod modbus {
 
     #[doc(inline)]
     pub use fieldbeat_sim::modbus::{
-        Holes, Interface, MotorSettings, ReadWrite, Start, UnidriveSettings, UnidriveSim, Unidrives, Watchdog,
+        Interface, MotorSettings, ReadWrite, Start, UnidriveSettings, UnidriveSim, Unidrives,
     };
 }
 

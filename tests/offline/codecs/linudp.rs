@@ -47,6 +47,10 @@ fn block(config: &ConfigBlock) -> RtcBlock {
     RtcBlock { words: config.words, ..RtcBlock::answer(config.count, config.code) }
 }
 
+fn motion(motion: codec::Motion) -> MotionBlock {
+    MotionBlock { header: motion.header, parameters: motion.parameters }
+}
+
 proptest! {
     #[test]
     fn a_request_of_the_master_is_the_same_to_the_drive(request in request(), behind in 0..20_usize) {
@@ -55,22 +59,24 @@ proptest! {
         let read = codec::Request::parse(&bytes[..size + behind]).unwrap();
         prop_assert_eq!(read.definitions, [request.definition().0, request.response_def.0]);
         prop_assert_eq!(read.control.map(ControlWord), request.control);
-        let motion = read.motion.map(|motion| MotionBlock { header: motion.header, parameters: motion.parameters });
-        prop_assert_eq!(motion, request.motion);
+        prop_assert_eq!(read.motion.map(motion), request.motion);
         prop_assert_eq!(read.config.as_ref().map(block), request.config);
     }
 
     #[test]
-    fn any_bytes_are_a_request_to_both_or_to_none(definition in 0..16_u32, rest in prop::collection::vec(any::<u8>(), 0..60)) {
+    fn any_bytes_are_a_request_to_both_or_to_none(
+        definition in 0..16_u32,
+        rest in prop::collection::vec(any::<u8>(), 0..60),
+    ) {
         let bytes = [&definition.to_le_bytes()[..], &rest].concat();
         let (master, drive) = (Request::parse(&bytes).ok(), codec::Request::parse(&bytes));
         prop_assert_eq!(drive.is_some(), master.is_some());
         if let (Some(master), Some(drive)) = (master, drive) {
-            let parameters = |motion: MotionBlock| (motion.header, motion.parameters);
             prop_assert_eq!(drive.control.map(ControlWord), master.control);
-            prop_assert_eq!(drive.motion.map(|motion| (motion.header, motion.parameters)), master.motion.map(parameters));
+            prop_assert_eq!(drive.motion.map(motion), master.motion);
             let words = |config: RtcBlock| (config.count(), config.code, config.words);
-            prop_assert_eq!(drive.config.map(|config| (config.count, config.code, config.words)), master.config.map(words));
+            let read = |config: ConfigBlock| (config.count, config.code, config.words);
+            prop_assert_eq!(drive.config.map(read), master.config.map(words));
         }
     }
 

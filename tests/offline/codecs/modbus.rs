@@ -95,22 +95,15 @@ proptest! {
         data in registers(120),
     ) {
         let registers = Registers::new(&data).unwrap();
-        let value = count.to_be_bytes();
+        let written = codec::Response::Written { address, what: count };
+        let refused = |function, code| Response::Exception { function, code };
         for (function, answer, expected) in [
             (function::READ, codec::Response::Data(&data), Response::Read { data: registers }),
-            (function::WRITE_ONE, codec::Response::One { address, value }, Response::WriteOne { address, value: count }),
-            (function::WRITE, codec::Response::Written { address, count }, Response::Written { address, count }),
+            (function::WRITE_ONE, written, Response::WriteOne { address, value: count }),
+            (function::WRITE, written, Response::Written { address, count }),
             (function::READ_WRITE, codec::Response::Data(&data), Response::ReadWritten { data: registers }),
-            (
-                function::READ,
-                codec::Response::Exception(Exception::Address),
-                Response::Exception { function: function::READ, code: ExceptionCode::ADDRESS },
-            ),
-            (
-                function::WRITE,
-                codec::Response::Exception(Exception::Function),
-                Response::Exception { function: function::WRITE, code: ExceptionCode::FUNCTION },
-            ),
+            (3, codec::Response::Exception(Exception::Address), refused(3, ExceptionCode::ADDRESS)),
+            (16, codec::Response::Exception(Exception::Function), refused(16, ExceptionCode::FUNCTION)),
         ] {
             let mut bytes = Vec::new();
             codec::respond(codec::Header { transaction, unit, function }, answer, &mut bytes);

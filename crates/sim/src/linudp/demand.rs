@@ -23,7 +23,7 @@ pub(super) struct Vad {
     pub deceleration: u32,
 }
 
-/// What the value of a move is counted from.
+/// The origin of the value of a move.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Origin {
     Zero,

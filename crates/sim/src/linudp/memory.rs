@@ -13,7 +13,7 @@ use fieldbeat_core::time::Time;
 /// more, and of a single parameter that it "may stall the interface briefly".
 const PARAMETER_SHARE: u64 = 500;
 
-/// What is being written into flash.
+/// Content that is written into flash.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Save {
     Curves,
@@ -31,7 +31,7 @@ pub(super) struct Memory {
     pub log: ErrorLog,
     pub curves: Store,
     pub table: Store,
-    /// What is being written, and when that is complete.
+    /// The content that is being written, and when that is complete.
     saving: Option<(Save, Time)>,
     save_ns: u64,
     mode: FlashMode,

@@ -129,7 +129,7 @@ impl LinMotSim {
         self.machine.fail(code);
     }
 
-    /// What it left unanswered so far.
+    /// The requests that it left unanswered so far.
     pub fn ignored(&self) -> Ignored {
         self.ignored
     }
@@ -139,7 +139,7 @@ impl LinMotSim {
         self.machine.setpoints.refused
     }
 
-    /// Its true state at `now`.
+    /// The real state at `now`.
     pub fn truth(&mut self, now: Time) -> Truth {
         self.machine.advance(now);
         self.machine.truth()

@@ -20,7 +20,7 @@ pub(super) struct Setpoints {
     /// Of the last profile.
     target: f64,
     /// The profile that a released freeze continues with.
-    resume: Option<Limits>,
+    resume: Option<Vad>,
     armed: Option<Armed>,
     feed: Option<Feed>,
     /// Periods of silence that are an underflow of a stream, and setpoints that it holds.
@@ -29,20 +29,6 @@ pub(super) struct Setpoints {
     limits: Vad,
     /// Sine and Bestehorn moves that came while another motion ran.
     pub(super) refused: u64,
-}
-
-/// Velocity, acceleration, deceleration in SI units.
-#[derive(Clone, Copy, Debug)]
-struct Limits(f64, f64, f64);
-
-impl From<Vad> for Limits {
-    fn from(vad: Vad) -> Limits {
-        Limits(
-            f64::from(vad.velocity) * METRE_PER_S,
-            f64::from(vad.acceleration) * METRE_PER_S2,
-            f64::from(vad.deceleration) * METRE_PER_S2,
-        )
-    }
 }
 
 /// The source of the demand instead of a profile.
@@ -135,8 +121,9 @@ impl Setpoints {
 
     /// Continues with the frozen profile, if there was one.
     pub(super) fn resume(&mut self) {
-        if let Some(Limits(v, a, d)) = self.resume {
-            self.generator.go_to(self.target, v, a, d);
+        if let Some(Vad { velocity, acceleration, deceleration }) = self.resume {
+            let [a, d] = [acceleration, deceleration].map(|ramp| f64::from(ramp) * METRE_PER_S2);
+            self.generator.go_to(self.target, f64::from(velocity) * METRE_PER_S, a, d);
         }
     }
 
@@ -232,9 +219,8 @@ impl Setpoints {
         }
         self.target = base + motion.value;
         self.limits = motion.limits;
-        let limits @ Limits(v, a, d) = Limits::from(motion.limits);
-        self.resume = Some(limits);
-        self.generator.go_to(self.target, v, a, d);
+        self.resume = Some(motion.limits);
+        self.resume();
     }
 
     /// A streamed setpoint; `configured_ns` is the period that some commands have.
@@ -292,7 +278,7 @@ impl Setpoints {
                     self.armed = None;
                     if self.resume.is_some() {
                         self.limits = limits;
-                        self.resume = Some(limits.into());
+                        self.resume = Some(limits);
                         self.resume();
                     }
                 }

@@ -142,13 +142,14 @@ impl Parameters {
         }
     }
 
-    /// The first parameter from `upid` on whose ROM differs from its default, with that ROM value.
-    pub(super) fn modified_from(&self, upid: u16) -> Option<(u16, u32)> {
+    /// The first parameter from `upid` on, with its ROM value; if `modified`, the first one whose ROM differs from its
+    /// default.
+    pub(super) fn next(&self, upid: u16, modified: bool) -> Option<(&'static Parameter, u32)> {
         let index = (upids::from(upid)..PARAMETERS.len()).find(|index| {
             let parameter = &PARAMETERS[*index];
-            parameter.has(usage::ROM_READ) && self.values[*index].rom != parameter.default
+            !modified || parameter.has(usage::ROM_READ) && self.values[*index].rom != parameter.default
         })?;
-        Some((PARAMETERS[index].upid, self.wire(index, self.values[index].rom)))
+        Some((&PARAMETERS[index], self.wire(index, self.values[index].rom)))
     }
 
     /// The indices of the parameters that the monitoring channels report.

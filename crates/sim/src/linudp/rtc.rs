@@ -5,7 +5,7 @@
 //! 05h in turn, and 02h while it writes into a flash without falling silent, with the words of the previous answer,
 //! as seen on real drives; a command with yet another count is not accepted then, and its count is not echoed.
 //!
-//! What the manuals leave open, and the choices here:
+//! Open in the manuals, and the choices here:
 //!
 //! | case | answer |
 //! |---|---|
@@ -21,14 +21,13 @@
 
 use super::codec::channel::{ConfigBlock, Refusal, command as C, status, usage};
 use super::codec::stored::INFO_SIZE;
-use super::log;
+use super::log::{self, Entry};
 use super::machine::Machine;
 use super::memory::Save;
 use super::parameters::{allowed, check};
-use super::upids::{PARAMETERS, from};
 use fieldbeat_core::time::Time;
 
-/// What follows a command after its telegram has been answered.
+/// The consequence of a command after its telegram has been answered.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum After {
     Nothing,
@@ -51,13 +50,13 @@ const fn block(index: u16, (bytes, is_last): ([u8; 4], bool)) -> Reply {
     (if is_last { status::DONE } else { status::BLOCK_NOT_FINISHED }, words)
 }
 
-/// The list that is being read, and its next item.
+/// The list that is being read.
 #[derive(Clone, Copy, Debug)]
-enum List {
-    /// Of all UPIDs: the index in [`PARAMETERS`].
-    All(usize),
-    /// Of those whose ROM differs from the default: the UPID to look from; `None` at the end.
-    Modified(Option<u16>),
+struct List {
+    /// Of the UPIDs whose ROM differs from the default; else of all of them.
+    modified: bool,
+    /// The UPID to look from; `None` at the end.
+    next: Option<u16>,
 }
 
 /// The channel's state.
@@ -123,11 +122,11 @@ impl Channel {
             C::NO_OPERATION | C::RESTART => {}
             C::READ_ROM => return Ok(value(index, memory.parameters.rom(index)?)),
             C::READ_RAM => {
-                let serial = machine.serial(index).ok_or(());
-                return Ok(value(
-                    index,
-                    serial.or_else(|()| allowed(index, usage::RAM_READ).map(|at| machine.read(at)))?,
-                ));
+                let raw = match machine.serial(index) {
+                    Some(serial) => serial,
+                    None => machine.read(allowed(index, usage::RAM_READ)?),
+                };
+                return Ok(value(index, raw));
             }
             C::WRITE_ROM | C::WRITE_RAM | C::WRITE_BOTH => {
                 let rom = if code == C::WRITE_RAM { 0 } else { usage::ROM_WRITE };
@@ -141,36 +140,35 @@ impl Channel {
                 }
                 return Ok(value(index, raw));
             }
-            C::READ_MINIMUM | C::READ_MAXIMUM | C::READ_DEFAULT => {
+            C::READ_MINIMUM..=C::READ_DEFAULT => {
                 return Ok(value(index, memory.parameters.bound(index, code)?));
             }
 
-            C::START_LIST => self.list = Some(List::All(from(index))),
-            C::NEXT_ITEM => {
-                let Some(List::All(next)) = &mut self.list else { return Err(Refusal::ListNotStarted) };
-                let parameter = PARAMETERS.get(*next).ok_or(Refusal::EndOfList)?;
-                *next += 1;
-                return Ok((status::DONE, [parameter.upid, parameter.usage, 0]));
-            }
-            C::START_MODIFIED_LIST => self.list = Some(List::Modified(Some(index))),
-            C::NEXT_MODIFIED_ITEM => {
-                let Some(List::Modified(next)) = &mut self.list else { return Err(Refusal::ListNotStarted) };
-                let found = next.and_then(|next| memory.parameters.modified_from(next));
-                *next = found.and_then(|(upid, _)| upid.checked_add(1));
-                let (upid, rom) = found.ok_or(Refusal::EndOfList)?;
-                return Ok(value(upid, rom));
+            C::START_LIST => self.list = Some(List { modified: false, next: Some(index) }),
+            C::START_MODIFIED_LIST => self.list = Some(List { modified: true, next: Some(index) }),
+            C::NEXT_ITEM | C::NEXT_MODIFIED_ITEM => {
+                let list = self.list.as_mut().filter(|list| list.modified == (code == C::NEXT_MODIFIED_ITEM));
+                let list = list.ok_or(Refusal::ListNotStarted)?;
+                let found = list.next.and_then(|next| memory.parameters.next(next, list.modified));
+                list.next = found.and_then(|(parameter, _)| parameter.upid.checked_add(1));
+                let (parameter, rom) = found.ok_or(Refusal::EndOfList)?;
+                return Ok(value(parameter.upid, if list.modified { rom } else { parameter.usage.into() }));
             }
 
-            C::DEFAULT_OS..=C::DEFAULT_APPLICATION | C::SAVE_CURVES | C::SAVE_TABLE if !is_stopped => {
-                return Err(Refusal::SoftwareRuns);
-            }
-            C::DEFAULT_OS..=C::DEFAULT_APPLICATION => {
-                memory.save(Save::Defaults(u16::from(code - C::DEFAULT_OS)), now);
+            C::DEFAULT_OS..=C::DEFAULT_APPLICATION | C::SAVE_CURVES | C::SAVE_TABLE => {
+                if !is_stopped {
+                    return Err(Refusal::SoftwareRuns);
+                }
+                let what = match code {
+                    C::SAVE_CURVES => Save::Curves,
+                    C::SAVE_TABLE => Save::Table,
+                    _ => Save::Defaults(u16::from(code - C::DEFAULT_OS)),
+                };
+                memory.save(what, now);
             }
             C::STOP_SOFTWARE => machine.stop_software(),
             C::START_SOFTWARE => machine.start_software(),
 
-            C::SAVE_CURVES => memory.save(Save::Curves, now),
             C::DELETE_CURVES => memory.curves.delete_all(),
             C::ADD_CURVE | C::MODIFY_CURVE => {
                 memory.curves.begin_curve(index, words[1], words[2], code == C::MODIFY_CURVE)?;
@@ -193,20 +191,15 @@ impl Channel {
                 let (logged, occurred) = memory.log.counters();
                 return Ok((status::DONE, [0, logged, occurred]));
             }
-            C::ERROR_CODE | C::ERROR_TIME_LOW | C::ERROR_TIME_HIGH => {
-                let entry = memory.log.entry(index).ok_or(Refusal::OutOfRange)?;
-                return Ok(match code {
-                    C::ERROR_CODE => value(index, entry.code.into()),
-                    C::ERROR_TIME_LOW => value(index, entry.ms),
-                    _ => value(index, entry.hours),
-                });
+            C::ERROR_CODE..=C::ERROR_TIME_HIGH => {
+                let Entry { code: error, ms, hours } = memory.log.entry(index).ok_or(Refusal::OutOfRange)?;
+                return Ok(value(index, [error.into(), ms, hours][usize::from(code - C::ERROR_CODE)]));
             }
             C::ERROR_TEXT => {
                 let text = log::text(index, words[1]).ok_or(Refusal::OutOfRange)?;
                 return Ok(block(index, (text, true)));
             }
 
-            C::SAVE_TABLE => memory.save(Save::Table, now),
             C::DELETE_TABLE => memory.table.delete_all(),
             C::DELETE_ENTRY => {
                 memory.table.delete_entry(index)?;
@@ -221,8 +214,7 @@ impl Channel {
                 return Ok(block(index, (bytes, is_last)));
             }
             C::GET_ENTRY => {
-                let size = memory.table.open(index).ok_or(Refusal::WrongSize)?;
-                return Ok(value(index, size.into()));
+                return Ok(value(index, memory.table.open(index).ok_or(Refusal::WrongSize)?.into()));
             }
             C::GET_ENTRY_DATA => return Ok(block(index, memory.table.take(index, true)?)),
             C::PRESENCE..=C::LAST_PRESENCE => {

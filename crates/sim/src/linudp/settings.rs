@@ -10,7 +10,7 @@ use fieldbeat_core::time::MS;
 pub struct LinMotSettings {
     /// The address that it listens at.
     pub address: SocketAddrV4,
-    /// Its serial number, and the parameter that has it. Default: none has it.
+    /// The serial number, and the parameter that has it. Default: no parameter.
     pub serial: Option<(u16, u32)>,
     /// Faults on its wire.
     pub faults: FaultPlan,
@@ -44,9 +44,9 @@ pub struct LinMotSettings {
     pub config_time_ns: u64,
     /// How long a save into flash takes, ns. Real drives took 39 ... 75 s and more.
     pub flash_time_ns: u64,
-    /// What a drive answers meanwhile.
+    /// Its answers meanwhile.
     pub flash: FlashMode,
-    /// What it does with motion commands that it has no use for.
+    /// Its reaction to motion commands that it cannot run.
     pub unknown_commands: UnknownCommands,
     /// Values of less than 32 bits carry their sign in the bits above, when they are read or monitored; else these are
     /// 0.
@@ -89,8 +89,8 @@ impl LinMotSettings {
     }
 }
 
-/// What a drive answers while it writes into its flash. The manual says that the interface stays active; masters in the
-/// field saw it fall silent.
+/// The answers of a drive while it writes into its flash. The manual says that the interface stays active; masters in
+/// the field saw it fall silent.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum FlashMode {
     /// Nothing, but for the telegram that began it; and afterwards how it went.
@@ -103,7 +103,7 @@ pub enum FlashMode {
     Busy,
 }
 
-/// What a drive does with a motion command that is unknown, or that needs hardware or a software key it does not have.
+/// The reaction to a motion command that is unknown, or that needs hardware or a software key the drive does not have.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum UnknownCommands {
     /// Error 0081h.

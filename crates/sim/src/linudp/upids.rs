@@ -113,7 +113,7 @@ const POSITION: (i64, i64) = Type::S32.range();
 /// A quarter of the range of u32, which no unit conversion overflows. 1 um/s and 1e-5 m/s2.
 const RATE: (i64, i64) = (1, 1 << 30);
 const WORD: (i64, i64) = Type::U16.range();
-/// What a position lag limit may be, 0.1 um: 1 um ... 1 m.
+/// Limits of a position lag limit, 0.1 um: 1 um ... 1 m.
 const LAG: (i64, i64) = (10, 10_000_000);
 
 /// All of them, by rising UPID.

@@ -104,7 +104,7 @@ pub fn message(bytes: &[u8]) -> Result<Option<usize>, NoModbus> {
     Ok(Some(6 + length).filter(|size| *size <= bytes.len()))
 }
 
-/// What identifies a message.
+/// The identity of a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Header {
     pub transaction: u16,
@@ -169,15 +169,11 @@ pub fn request(message: &[u8]) -> Result<(Header, Request<'_>), NoModbus> {
 pub enum Response<'a> {
     /// Registers that were read.
     Data(&'a [u8]),
-    /// A register that was written.
-    One {
-        address: u16,
-        value: [u8; 2],
-    },
-    /// Registers that were written; fewer than asked for if one was refused.
+    /// The address of what was written; behind it the value (function 6), or the number of registers (16), fewer than
+    /// in the request if one was refused.
     Written {
         address: u16,
-        count: u16,
+        what: u16,
     },
     Exception(Exception),
 }
@@ -187,8 +183,7 @@ pub fn respond(header: Header, response: Response<'_>, to: &mut Vec<u8>) {
     let Header { transaction, unit, mut function } = header;
     let (front, data) = match response {
         Response::Data(data) => (vec![data.len() as u8], data),
-        Response::One { address, value } => ([address.to_be_bytes(), value].concat(), &[][..]),
-        Response::Written { address, count } => ([address, count].map(u16::to_be_bytes).concat(), &[][..]),
+        Response::Written { address, what } => ([address, what].map(u16::to_be_bytes).concat(), &[][..]),
         Response::Exception(exception) => {
             function |= 0x80;
             (vec![exception as u8], &[][..])

@@ -94,6 +94,5 @@ fn motor(table: &mut Table<'_>, default: MotorSettings) -> MotorSettings {
         inertia_kgm2: value(INERTIA, 1e-9..=1e6, default.inertia_kgm2),
         load_nm: value(LOAD, 0.0..=100_000.0, default.load_nm),
         friction_nm: value(FRICTION, 0.0..=100_000.0, default.friction_nm),
-        ..default
     }
 }

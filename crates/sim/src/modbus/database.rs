@@ -100,7 +100,7 @@ impl Database {
         &self.rows[place]
     }
 
-    /// Its value.
+    /// The value of the parameter at this index.
     pub(super) fn get(&self, place: usize) -> i32 {
         self.used[place]
     }

@@ -57,7 +57,7 @@ impl Drive {
         self.sequencer.restart(&mut self.motor.power);
     }
 
-    /// What the motor really does, in revolutions.
+    /// The real state of the motor, in revolutions.
     pub(super) fn truth(&self) -> Truth {
         self.motor.power.truth(self.sequencer.is_active(), TAU)
     }
@@ -135,7 +135,7 @@ impl Drive {
             _ => false,
         };
         if resets {
-            self.sequencer.reset(&mut self.motor.power);
+            self.motor.power.reset();
             self.parameters.reset();
         }
         true

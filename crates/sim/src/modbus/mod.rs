@@ -39,7 +39,7 @@ mod table;
 
 use std::net::SocketAddrV4;
 
-pub use self::settings::{Holes, Interface, MotorSettings, ReadWrite, Start, UnidriveSettings, Watchdog};
+pub use self::settings::{Interface, MotorSettings, ReadWrite, Start, UnidriveSettings};
 
 use self::drive::Drive;
 use self::server::Server;
@@ -89,7 +89,7 @@ impl UnidriveSim {
         self.server.connections()
     }
 
-    /// Its true state at `now`; its counts are revolutions. This counts as no request of a master.
+    /// The real state at `now`; counts are revolutions. This is no request of a master to the drive's time-out.
     pub fn truth(&mut self, now: Time) -> Truth {
         self.drive.advance(now);
         self.drive.truth()

@@ -1,4 +1,4 @@
-//! What commands the drive: control word, hardware enable, trips, watchdogs.
+//! The sequencer of the drive: control word, hardware enable, trips, watchdogs.
 //!
 //! Knows the parameters by their values, and no motion: the present speed comes as an argument. Facts: SI-PROFIBUS
 //! guide, control word; what the guide leaves open is assumed:
@@ -20,10 +20,15 @@ use std::collections::VecDeque;
 
 use super::codec::{control as C, trip};
 use super::database::Database;
-use super::settings::{UnidriveSettings, Watchdog};
+use super::settings::UnidriveSettings;
 use super::table;
 use crate::power::{PowerDrive, Reset};
-use fieldbeat_core::time::MS;
+use fieldbeat_core::time::{MS, S};
+
+/// From a write of the control word with its watchdog bit until the next one is due (assumed), ns.
+const WATCHDOG_NS: u64 = S;
+/// From trip 3 until it can be reset (M702 user guide), ns.
+const OVER_CURRENT_NS: u64 = 10 * S;
 
 /// Entries of the trip log: 10.020 ... 10.029.
 const LOG: usize = 10;
@@ -60,10 +65,6 @@ struct Run {
 /// The sequencer of one drive.
 #[derive(Debug)]
 pub(super) struct Sequencer {
-    /// The trip whose cause persists.
-    persistent: Option<u16>,
-    watchdog: Watchdog,
-    overcurrent_wait_ns: u64,
     /// The trip of an interface that receives nothing any more.
     link_trip: u16,
     /// The newest first.
@@ -81,9 +82,6 @@ pub(super) struct Sequencer {
 impl Sequencer {
     pub(super) fn new(settings: &UnidriveSettings, power: &mut Power) -> Sequencer {
         let mut sequencer = Sequencer {
-            persistent: settings.persistent_trip,
-            watchdog: settings.watchdog,
-            overcurrent_wait_ns: settings.overcurrent_wait_ns,
             link_trip: trip::slot_error(settings.interface.slot),
             log: VecDeque::with_capacity(LOG),
             served_ns: None,
@@ -101,14 +99,11 @@ impl Sequencer {
         power.restart();
         (self.served_ns, self.received_ns) = (None, None);
         (self.latched, self.running, self.active) = (None, None, false);
-        if let Some(trip) = self.persistent {
-            self.trip(power, trip);
-        }
     }
 
     /// Trips the drive. The first trip stays.
     pub(super) fn trip(&mut self, power: &mut Power, trip: u16) {
-        let wait_ns = if trip == trip::OVER_CURRENT { self.overcurrent_wait_ns } else { 0 };
+        let wait_ns = if trip == trip::OVER_CURRENT { OVER_CURRENT_NS } else { 0 };
         if !power.fail(trip, Reset::After(wait_ns)) {
             return;
         }
@@ -117,25 +112,13 @@ impl Sequencer {
         self.log.push_front(trip);
     }
 
-    /// Resets the trip, if it can be.
-    pub(super) fn reset(&mut self, power: &mut Power) {
-        if power.reset()
-            && let Some(trip) = self.persistent
-        {
-            self.trip(power, trip);
-        }
-    }
-
     /// The control word was written while 06.043 is 1; whether it resets the drive.
     #[must_use]
     pub(super) fn control(&mut self, power: &mut Power, before: u16, word: u16) -> bool {
         let rising = |bit| has(word & !before, bit);
-        let Watchdog { time_ns, edges_only, held } = self.watchdog;
-        match has(word, C::KEYPAD_WATCHDOG) {
-            true if power.fault().is_some() || edges_only && !rising(C::KEYPAD_WATCHDOG) => {}
-            true => self.served_ns = Some(time_ns),
-            false if edges_only || held => {}
-            false => self.served_ns = None,
+        // Each write with the bit serves the watchdog, one without it disarms it.
+        if power.fault().is_none() || !has(word, C::KEYPAD_WATCHDOG) {
+            self.served_ns = has(word, C::KEYPAD_WATCHDOG).then_some(WATCHDOG_NS);
         }
         if rising(C::TRIP) {
             self.trip(power, trip::CONTROL_WORD);

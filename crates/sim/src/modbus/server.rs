@@ -7,7 +7,7 @@
 //! |---|---|
 //! | a header that is no Modbus, lengths that contradict each other | the connection ends |
 //! | 0 registers, an odd number of them with 32-bit access, function 6 with 32-bit access, bit 15 | exception 02 |
-//! | a parameter that does not exist, an unknown unit | exception 02, and nothing is written or read (a setting for reading a parameter) |
+//! | a parameter that does not exist, an unknown unit | exception 02, and nothing is written or read |
 //! | a value out of range, a parameter that is read only | function 16 stops there and counts the registers that it has written; 6 and 23 give no error |
 //! | function 23 | writes, then reads (a setting: refuses it, ignores it, ends the connection, takes few registers) |
 //! | a 16-bit write to a 32-bit parameter | carries the sign, if the parameter has one |
@@ -16,7 +16,7 @@ use std::net::SocketAddrV4;
 
 use super::codec::{self, ADU_MAX, Exception, Header, INTERFACE_UNIT, NoModbus, Request, Response, function};
 use super::drive::Drive;
-use super::settings::{Holes, Interface, ReadWrite};
+use super::settings::{Interface, ReadWrite};
 use super::table;
 
 /// One client.
@@ -106,9 +106,9 @@ struct Service {
     interface: Interface,
 }
 
-/// The parameters of a block by their table indices, `None` = a hole, and whether they are accessed with 32 bits.
+/// The parameters of a block by their table indices, and whether they are accessed with 32 bits.
 struct Block {
-    places: Vec<Option<usize>>,
+    places: Vec<usize>,
     long: bool,
 }
 
@@ -150,12 +150,12 @@ impl Service {
                 Ok(Response::Data(read))
             }
             Request::WriteOne { address, value } => {
-                self.look_up_all(is_own, address, 1, drive)?.write(drive, &value);
-                Ok(Response::One { address, value })
+                self.look_up(is_own, address, 1, drive)?.write(drive, &value);
+                Ok(Response::Written { address, what: u16::from_be_bytes(value) })
             }
             Request::Write { address, data } => {
-                let block = self.look_up_all(is_own, address, data.len() / 2, drive)?;
-                Ok(Response::Written { address, count: block.write(drive, data) })
+                let block = self.look_up(is_own, address, data.len() / 2, drive)?;
+                Ok(Response::Written { address, what: block.write(drive, data) })
             }
             Request::ReadWrite { read: address, count, write, data } => {
                 let registers = data.len() / 2;
@@ -166,7 +166,7 @@ impl Service {
                     }
                     _ => {}
                 }
-                let written = self.look_up_all(is_own, write, registers, drive)?;
+                let written = self.look_up(is_own, write, registers, drive)?;
                 let block = self.look_up(is_own, address, count.into(), drive)?;
                 written.write(drive, data);
                 block.read(drive, read);
@@ -187,32 +187,16 @@ impl Service {
         let modified = drive.parameters.is_modified();
         let first = codec::place(address, modified).ok_or(Exception::Address)?;
         let each = if first.long { 2 } else { 1 };
-        if !(1..=usize::from(codec::REGISTERS_MAX)).contains(&registers) || registers % each != 0 {
+        if !(1..=usize::from(codec::REGISTERS_MAX)).contains(&registers) || !registers.is_multiple_of(each) {
             return Err(Exception::Address);
         }
         let mut places = Vec::new();
         for index in 0..(registers / each) as u16 {
             let place = codec::place(address.wrapping_add(index), modified);
             let place = place.filter(|place| place.long == first.long).ok_or(Exception::Address)?;
-            let found = drive.parameters.find(place.menu, place.number, is_own);
-            if found.is_none() && self.interface.holes == Holes::Refused {
-                return Err(Exception::Address);
-            }
-            places.push(found);
+            places.push(drive.parameters.find(place.menu, place.number, is_own).ok_or(Exception::Address)?);
         }
         Ok(Block { places, long: first.long })
-    }
-
-    /// The same for a block that is written: it may have no holes.
-    fn look_up_all(
-        &self,
-        is_own: bool,
-        address: u16,
-        registers: usize,
-        drive: &Drive,
-    ) -> Result<Block, Exception> {
-        let block = self.look_up(is_own, address, registers, drive)?;
-        if block.places.contains(&None) { Err(Exception::Address) } else { Ok(block) }
     }
 }
 
@@ -222,7 +206,7 @@ impl Block {
         let width = if self.long { 4 } else { 2 };
         let values = data.chunks_exact(width);
         let mut written = 0;
-        for (place, value) in self.places.iter().flatten().zip(values) {
+        for (place, value) in self.places.iter().zip(values) {
             let value = match *value {
                 [a, b, c, d] => i32::from_be_bytes([a, b, c, d]),
                 [a, b] => drive.parameters.row(*place).word([a, b]),
@@ -239,7 +223,7 @@ impl Block {
     /// Reads them; of a 32-bit parameter that is accessed with 16 bits, the low ones.
     fn read(&self, drive: &Drive, data: &mut Vec<u8>) {
         for place in &self.places {
-            let bytes = place.map_or(0, |place| drive.read(place)).to_be_bytes();
+            let bytes = drive.read(*place).to_be_bytes();
             data.extend(if self.long { &bytes[..] } else { &bytes[2..] });
         }
     }

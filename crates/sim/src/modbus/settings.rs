@@ -3,14 +3,14 @@
 use std::net::SocketAddrV4;
 
 use crate::FaultPlan;
-use fieldbeat_core::time::{MS, S};
+use fieldbeat_core::time::MS;
 
 /// A simulated Unidrive. Where no document says what the drive does, the default is the strict side, and assumed.
 #[derive(Clone, Debug, PartialEq)]
 pub struct UnidriveSettings {
     /// The address that it listens at.
     pub address: SocketAddrV4,
-    /// Its serial number, up to eighteen digits. Default 0.
+    /// The serial number, up to eighteen digits. Default 0.
     pub serial: u64,
     /// The faults between it and the master.
     pub faults: FaultPlan,
@@ -24,12 +24,6 @@ pub struct UnidriveSettings {
     pub start: Start,
     /// The hardware enable (safe torque off) is wired and closed. Default true.
     pub hardware_enable: bool,
-    /// A trip whose cause does not go away: it comes back at each reset and each start.
-    pub persistent_trip: Option<u16>,
-    /// The control word's watchdog (06.042, bit 14). Default: trips after 1 s.
-    pub watchdog: Watchdog,
-    /// From trip 3 (OI ac) until it can be reset, ns. Default 10 s (M702 user guide).
-    pub overcurrent_wait_ns: u64,
     /// From power-on until it listens, ns. Default 500 ms.
     pub boot_ns: u64,
     /// Saved parameters, menu and number, that differ from the values as delivered; menu 15 is that of the Ethernet
@@ -49,9 +43,6 @@ impl UnidriveSettings {
             ramps_s: (0.2, 0.2),
             start: Start::default(),
             hardware_enable: true,
-            persistent_trip: None,
-            watchdog: Watchdog::default(),
-            overcurrent_wait_ns: 10 * S,
             boot_ns: 500 * MS,
             commissioned: Vec::new(),
         }
@@ -67,7 +58,7 @@ pub struct Interface {
     pub slot: u8,
     /// The most connections at a time; further ones are refused. Default 4, assumed.
     pub connections: usize,
-    /// What it does with FC23. Default: it has it.
+    /// The reaction to FC23. Default: served.
     pub read_write: ReadWrite,
     /// Menu 0 shows what Pr 22.001 ... 22.080 say. Without it there is no menu 0. Default true.
     pub menu_zero: bool,
@@ -75,8 +66,6 @@ pub struct Interface {
     pub drive_units: Vec<u8>,
     /// Of several requests that come at once all are answered, in order. False: the first one only.
     pub pipelining: bool,
-    /// A parameter that does not exist, inside a block that is read.
-    pub holes: Holes,
 }
 
 impl Default for Interface {
@@ -89,12 +78,11 @@ impl Default for Interface {
             menu_zero: true,
             drive_units: vec![0, 255],
             pipelining: true,
-            holes: Holes::default(),
         }
     }
 }
 
-/// What a server does with FC23. Other servers than a Unidrive are known to do each of these.
+/// The reaction of a server to FC23. Other servers than a Unidrive are known to do each of these.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ReadWrite {
     /// It writes, then reads.
@@ -108,16 +96,6 @@ pub enum ReadWrite {
     Ignored,
     /// It ends the connection.
     Closes,
-}
-
-/// The result of a block with a missing parameter among existing ones.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Holes {
-    /// Exception 02; nothing is read or written.
-    #[default]
-    Refused,
-    /// It reads as 0. A write is refused all the same.
-    Zero,
 }
 
 /// The motor and its load, in SI units.
@@ -158,21 +136,4 @@ pub enum Start {
     /// Enabled by the control word of a master that has disappeared, and running at this speed, rpm; negative is
     /// reverse, 0 is standstill.
     Running(f64),
-}
-
-/// The watchdog in the control word. The SI-PROFIBUS guide names it; everything else is assumed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Watchdog {
-    /// The longest time between two services, ns. Default 1 s.
-    pub time_ns: u64,
-    /// Only a change of the bit from 0 to 1 is a service. Default false: each write with the bit set.
-    pub edges_only: bool,
-    /// Once armed, a control word without the bit does not disarm it. Always so with `edges_only`. Default false.
-    pub held: bool,
-}
-
-impl Default for Watchdog {
-    fn default() -> Watchdog {
-        Watchdog { time_ns: S, edges_only: false, held: false }
-    }
 }

@@ -32,7 +32,7 @@ pub(super) enum Variable {
 
 /// The menus of the Ethernet interface, whatever slot it is in: after all menus that the drive can have.
 pub(super) const INTERFACE: u8 = 200;
-/// The menu that says what menu 0 shows.
+/// The menu whose parameters name those that menu 0 shows.
 pub(super) const SETUP_MENU: u8 = 22;
 /// How many parameters menu 0 has.
 pub(super) const SETUPS: usize = 80;
@@ -128,7 +128,7 @@ impl Row {
 const SPEED_MAX: i32 = 500_000;
 const WORD: i32 = 0xFFFF;
 
-/// Those with an effect, or with a value of their own.
+/// The parameters with an effect, or with a value of their own.
 const ROWS: &[Row] = &[
     speed(1, 1).shows(Variable::Selected),
     speed(1, 3).shows(Variable::PreRamp),
@@ -189,7 +189,7 @@ const ROWS: &[Row] = &[
     word(11, 31, 0, 4).of(3),                              // operating mode: RFC-S
     long(11, 52, 0, 999_999_999).read_only(),              // serial number, the lower nine digits
     long(11, 53, 0, 999_999_999).read_only(),              // and those above them
-    // What menu 0 of a new drive shows: both clamps, both ramps, the selector, the limit.
+    // The parameters that menu 0 of a new drive shows: both clamps, both ramps, the selector, the limit.
     setup(1).of(1_007),
     setup(2).of(1_006),
     setup(3).of(2_011),
@@ -205,7 +205,7 @@ const fn setup(number: u8) -> Row {
     word(SETUP_MENU, number, 0, 59_999)
 }
 
-/// Those that are stored and have no effect: the first one, and the number of the last one.
+/// Parameters that are stored and have no effect: the first one of a row, and the number of the last one.
 const STORED: &[(Row, u8)] = &[
     (speed(1, 2).read_only(), 2),
     (speed(1, 4), 4),

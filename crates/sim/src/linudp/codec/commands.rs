@@ -108,7 +108,7 @@ pub fn width(letter: char) -> usize {
 pub struct StreamKind(u16);
 
 impl StreamKind {
-    /// That of command 03`sub`x.
+    /// The kind of command 03`sub`x.
     pub fn of(sub: u16) -> Option<StreamKind> {
         (sub <= 5).then_some(StreamKind(sub))
     }
@@ -118,7 +118,7 @@ impl StreamKind {
         !matches!(self.0, 0 | 2)
     }
 
-    /// Its time base is a configured period; else the time of reception.
+    /// The time base is a configured period; else the time of reception.
     pub fn has_configured_period(self) -> bool {
         matches!(self.0, 2 | 3 | 5)
     }

@@ -72,7 +72,7 @@ impl Entry {
         Some(self.word(2)).filter(|link| *link != NO_LINK)
     }
 
-    /// Its command, whose count has no meaning.
+    /// The motion command; its count has no meaning.
     pub fn command(&self) -> Motion {
         let mut parameters = [0; 30];
         parameters.copy_from_slice(&self.0[6..36]);

@@ -1,4 +1,4 @@
-//! What a motion command is: its family, its fields, what it moves and what the controller holds then.
+//! A motion command: family, fields, when it moves, and the quantity that the controller holds then.
 
 use super::super::codec::Motion;
 use super::super::codec::commands::{FIELDS, layout, values, width};
@@ -48,7 +48,7 @@ impl Command {
         values(self.layout, &self.parameters)
     }
 
-    /// Those of the fields with one of these letters.
+    /// The numbers in the fields with one of these letters.
     pub(super) fn fields(&self, letters: [char; 2]) -> impl Iterator<Item = i64> {
         let fields = self.layout.chars().zip(self.values());
         fields.filter(move |(letter, _)| letters.contains(letter)).map(|(_, value)| value)
@@ -73,7 +73,7 @@ impl Command {
         })
     }
 
-    /// What the controller holds from now on, if it starts another motion at once.
+    /// The quantity that the controller holds from now on, if the command starts another motion at once.
     pub(super) fn effort(&self) -> Option<Effort> {
         let force = |milliamperes: i64| milliamperes as f64 / 1e3 * NEWTON_PER_AMPERE;
         match (self.family, self.sub) {

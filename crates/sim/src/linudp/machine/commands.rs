@@ -178,8 +178,8 @@ impl Machine {
         Ok(Move { value, origin, start, limits })
     }
 
-    /// What a step of its position is, m, and its limits. It may have a velocity, and none, one or two accelerations; a
-    /// single one is the deceleration too. What it does not have is the drive's own.
+    /// A step of the position, m, and the limits of a command. It may have a velocity, and none, one or two
+    /// accelerations; a single one is the deceleration too. The others are the drive's own.
     fn profile(&self, command: &Command) -> (f64, Vad) {
         let is_scaled = command.fields(['p', 'a']).next().is_some();
         let (step, v, a, d) = if is_scaled { self.settings.scale } else { (1, 1, 1, 1) };

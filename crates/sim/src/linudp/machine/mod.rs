@@ -105,7 +105,7 @@ pub(super) struct Machine {
 }
 
 impl Machine {
-    /// Its serial number, if it is in this parameter.
+    /// The serial number, if this parameter has it.
     pub(super) fn serial(&self, upid: u16) -> Option<u32> {
         self.plan.serial.filter(|(from, _)| *from == upid).map(|(_, number)| number)
     }
@@ -231,7 +231,7 @@ impl Machine {
         }
     }
 
-    /// What follows the end of a motion of the drive's own.
+    /// Continues after the end of a motion of the drive's own.
     fn go_on(&mut self) {
         let Mode::Operating(task) = self.mode else { return };
         if self.setpoints.is_moving() {
@@ -303,7 +303,7 @@ impl Machine {
         Demand { position: self.power.position(), velocity: self.power.speed(), acceleration: 0.0 }
     }
 
-    /// What the motor really does, in wire counts.
+    /// The real state of the motor, in wire counts.
     pub(super) fn truth(&self) -> Truth {
         self.power.truth(self.powered(), METRE)
     }

@@ -1,5 +1,5 @@
-//! The drive as a master meets it: telegrams in, telegrams out, in virtual time. Here the master's side, which builds and
-//! reads telegrams by itself.
+//! The drive as a master meets it: telegrams in, telegrams out, in virtual time. Here the master's side, which builds
+//! and reads telegrams by itself.
 
 mod commands;
 mod curve;

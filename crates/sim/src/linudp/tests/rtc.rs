@@ -176,7 +176,7 @@ fn the_lists_go_through_all_upids_and_through_the_modified_ones() {
     bench.write(C::WRITE_ROM, 0x14C0, 0x12_3456);
     bench.rtc(C::START_MODIFIED_LIST, [0x14BE, 0, 0]);
     assert_eq!(bench.rtc(C::NEXT_MODIFIED_ITEM, [0; 3]), (DONE, [0x14C0, 0x3456, 0x12]));
-    // What was commissioned is in it, too.
+    // Commissioned values are in it, too.
     bench.rtc(C::START_MODIFIED_LIST, [0; 3]);
     let home = [(0x13C7, 3), (0x13CA, 3)];
     let rest = [(0x146E, -20 * CM), (0x146F, 20 * CM), (0x14C0, 0x12_3456), (0x14E6, 2_500)];

@@ -39,7 +39,7 @@ pub(super) fn entry(command: Motion, next: Option<u16>) -> [u8; 64] {
 }
 
 impl Bench {
-    /// Sends blocks of four bytes; each is echoed, and 04h says that more are to come. The status of the last one.
+    /// Sends blocks of four bytes; each is echoed, with 04h while more are to come. Returns the status of the last one.
     fn send(&mut self, code: u8, index: u16, bytes: &[u8]) -> u8 {
         let mut last = channel::BLOCK_NOT_FINISHED;
         for (n, chunk) in bytes.chunks(4).enumerate() {

@@ -82,7 +82,7 @@ impl Bench {
         bench
     }
 
-    /// What comes back for these bytes.
+    /// The answer to these bytes.
     fn raw(&mut self, bytes: &[u8]) -> Vec<u8> {
         let mut reply = Vec::new();
         let to = self.sim.receive(self.now, MASTER, bytes, &mut reply);
@@ -123,7 +123,7 @@ impl Bench {
         self.read_block::<1>(parameter)[0]
     }
 
-    /// Those of several in a row.
+    /// The values of several in a row.
     fn read_block<const N: usize>(&mut self, first: Parameter) -> [i32; N] {
         let data = self.ask(unit(first), function::READ, &[self.address(first), 2 * N as u16], &[]).unwrap();
         assert_eq!(usize::from(data[0]), 4 * N);
@@ -204,7 +204,7 @@ impl Bench {
     }
 }
 
-/// That of a parameter of the interface, or of the drive.
+/// The unit of a parameter: the interface, or the drive.
 fn unit([menu, _]: Parameter) -> u8 {
     if menu == 15 { 4 } else { DRIVE_UNIT }
 }

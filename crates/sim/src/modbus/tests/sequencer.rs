@@ -144,7 +144,7 @@ fn it_can_be_found_running_at_any_speed() {
         // And goes on.
         bench.wait(10 * S);
         assert_eq!(bench.speed(), rpm);
-        // What is taken over ramps down as any other.
+        // A motion that is taken over ramps down as any other.
         bench.settled(C::ENABLED);
         assert!(bench.control(C::IDLE) & W::ACTIVE == 0);
     }

@@ -10,19 +10,6 @@ fn reset(bench: &mut Bench) {
 }
 
 #[test]
-fn a_trip_whose_cause_stays_comes_back_at_once() {
-    let mut bench = Bench::idle_with(|settings| settings.persistent_trip = Some(20));
-    assert_eq!(bench.trip(), (20, true));
-    reset(&mut bench);
-    assert_eq!(bench.trip(), (20, true));
-    // Each time it is a new one in the log.
-    let log: [i32; 3] = bench.read_block(TRIP);
-    assert_eq!(log, [20, 20, 0]);
-    bench.restart();
-    assert_eq!(bench.trip(), (20, true));
-}
-
-#[test]
 fn the_control_word_trips_by_an_edge() {
     let mut bench = Bench::idle();
     bench.control(C::IDLE | C::TRIP);
@@ -51,27 +38,18 @@ fn the_log_keeps_the_last_ten_and_outlives_a_restart() {
 }
 
 #[test]
-fn a_word_without_the_bit_disarms_the_watchdog_unless_it_is_held_and_one_of_edges_needs_edges() {
+fn the_watchdog_trips_a_second_after_its_last_bit_and_a_word_without_it_disarms_it() {
     let armed = C::IDLE | C::KEYPAD_WATCHDOG;
-    for held in [false, true] {
-        let mut bench = Bench::idle_with(|settings| settings.watchdog.held = held);
-        bench.control(armed);
-        bench.control(C::IDLE);
-        bench.wait(2 * S);
-        assert_eq!(bench.trip().1, held);
+    for (words, trips) in [(&[armed, armed, armed][..], true), (&[armed, armed, C::IDLE], false)] {
+        let mut bench = Bench::idle();
+        for word in words {
+            bench.control(*word);
+            bench.wait(998 * MS);
+            assert!(bench.is(W::HEALTHY));
+        }
+        bench.wait(MS);
+        assert_eq!(bench.trip(), if trips { (30, true) } else { (0, false) });
     }
-    let mut bench = Bench::idle_with(|settings| settings.watchdog.edges_only = true);
-    for _ in 0..4 {
-        bench.control(armed);
-        bench.control(C::IDLE);
-        bench.wait(900 * MS);
-        assert!(bench.is(W::HEALTHY));
-    }
-    for _ in 0..3 {
-        bench.control(armed);
-        bench.wait(400 * MS);
-    }
-    assert_eq!(bench.trip(), (30, true));
 }
 
 #[test]
