@@ -11,9 +11,9 @@ pub mod ethercat {
 
     #[doc(inline)]
     pub use fieldbeat_sim::ethercat::{
-        Application, Behind, ClockKind, Coupler, Dialect, DriveSettings, EthercatSegment, EthercatSim, Left,
-        MailboxSettings, Misuse, Model, MotorSettings, SegmentSettings, SiiContent, SiiSettings,
-        SlaveSettings,
+        AlState, Application, Behind, ClockKind, Coupler, Dialect, DriveSettings, EthercatSegment,
+        EthercatSim, Identity, Left, MailboxSettings, Misuse, Model, MotorSettings, SegmentSettings,
+        SiiContent, SiiSettings, SlaveSettings,
     };
 }
 

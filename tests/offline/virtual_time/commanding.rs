@@ -14,7 +14,6 @@ use fieldbeat::axis::{
 use fieldbeat::bus::linudp::MainState;
 use fieldbeat::sim::FaultPlan;
 use fieldbeat::time::{MS, S};
-use fieldbeat_ethercat::mode::Mode;
 use fieldbeat_linudp::wire::{RtcBlock, RtcCommand};
 
 use crate::virtual_time::carrier::LIMIT;
@@ -414,7 +413,7 @@ fn what_a_drive_may_still_carry_out_holds_up_an_enable() {
 
 struct Kollmorgen {
     machine: Machine,
-    mode: Mode,
+    mode: i8,
     changes: usize,
 }
 

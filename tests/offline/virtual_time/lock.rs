@@ -15,7 +15,7 @@ use fieldbeat::sim::{FaultPlan, SimPlan, WorldOptions};
 use fieldbeat::telemetry::{BusClock, ReferenceStatus, Summary};
 use fieldbeat::time::{MS, S, Time, US};
 use fieldbeat::{Cycle, CyclePlan, Granted, Master, Plan, Simulation};
-use fieldbeat_ethercat::wire::registers::AlState;
+use fieldbeat_sim::ethercat::AlState;
 
 use super::support::drive;
 

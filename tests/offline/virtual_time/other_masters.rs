@@ -10,8 +10,9 @@ use fieldbeat::telemetry::Condition;
 use fieldbeat::time::{MS, Time};
 use fieldbeat_core::net::frames::MAC;
 use fieldbeat_ethercat::wire::frame::{BROADCAST, Builder, Command, FRAME_MAX};
-use fieldbeat_ethercat::wire::registers::{AlState, address as register};
+use fieldbeat_ethercat::wire::registers::address as register;
 use fieldbeat_linudp::wire::Request;
+use fieldbeat_sim::ethercat::AlState;
 
 use super::faults::inject;
 use super::kollmorgen::left::take_over;

@@ -13,11 +13,14 @@ use fieldbeat_ethercat::plan::Area;
 use fieldbeat_ethercat::scan::information::Unread;
 use fieldbeat_ethercat::scan::*;
 use fieldbeat_ethercat::wire::frame::{Command, Mac, datagrams, position};
-use fieldbeat_ethercat::wire::registers::{AlCode, AlState, AlStatus, Features, Fmmu, SyncManager, address};
-use fieldbeat_ethercat::wire::sii::{Identity, Use};
+use fieldbeat_ethercat::wire::registers::{AlCode, AlState, AlStatus, Fmmu, address};
+use fieldbeat_ethercat::wire::sii::Identity;
+use fieldbeat_sim::ethercat::codec::registers::SyncManager;
 use fieldbeat_sim::ethercat::coupler::Terminals;
-use fieldbeat_sim::ethercat::sii::{Access, Contents, Mailboxes};
-use fieldbeat_sim::ethercat::{Application, Coupler, Drive, DriveSettings, Esc, Segment, Settings};
+use fieldbeat_sim::ethercat::sii::{Contents, Mailboxes};
+use fieldbeat_sim::ethercat::{
+    self as sim, Application, Coupler, Drive, DriveSettings, Esc, Segment, Settings, SiiSettings,
+};
 
 const S700: Identity = Identity { vendor: 0x6A, product: 0x0300_0600, revision: 3 };
 const IO: Identity = Identity { vendor: 2, product: 0x044C_2C52, revision: 0x11 };
@@ -66,7 +69,7 @@ impl Wire {
         assert_eq!(self.master(Command::Apwr(position(place), address::AL_CONTROL), &control).1, 1);
         self.now = self.now + MS;
         self.line.advance(self.now);
-        assert_eq!(self.line.slave(place.into()).unwrap().state(), state);
+        assert_eq!(self.line.slave(place.into()).unwrap().state() as u8, state as u8);
     }
 
     fn scan(&mut self, options: Options) -> Result<Vec<Slave>, ScanError> {
@@ -114,23 +117,24 @@ impl Frames for Wire {
     fn memory(&self, _: &mut Regions) {}
 }
 
-fn manager(start: u16, length: u16, control: u8) -> SyncManager {
-    SyncManager { start, length, control, activate: 1 }
+/// The same on the side of the slave.
+const fn own(Identity { vendor, product, revision }: Identity) -> sim::Identity {
+    sim::Identity { vendor, product, revision }
 }
 
 fn contents() -> Contents {
     Contents {
         name: "S700",
-        identity: S700,
+        identity: own(S700),
         serial: 0x1234_5678,
         alias: 7,
         mailboxes: Some(Mailboxes { out: (0x1800, 16), input: (0x1C00, 16), protocols: 4 }),
         fmmus: vec![1, 2, 3],
         managers: vec![
-            (manager(0x1800, 16, SyncManager::MAILBOX_OUT), Use::MailboxOut),
-            (manager(0x1C00, 16, SyncManager::MAILBOX_IN), Use::MailboxIn),
-            (manager(0x1100, 6, SyncManager::OUTPUTS), Use::Outputs),
-            (manager(0x1140, 8, SyncManager::INPUTS), Use::Inputs),
+            SyncManager::on(0x1800, 16, SyncManager::MAILBOX_OUT),
+            SyncManager::on(0x1C00, 16, SyncManager::MAILBOX_IN),
+            SyncManager::on(0x1100, 6, SyncManager::OUTPUTS),
+            SyncManager::on(0x1140, 8, SyncManager::INPUTS),
         ],
         ..Contents::default()
     }
@@ -144,11 +148,11 @@ fn drive(settings: Settings) -> Esc {
 fn coupler() -> Esc {
     let terminals = |digital, analogue| Terminals { digital, analogue };
     let coupler = Coupler { outputs: terminals(8, 1), inputs: terminals(16, 0) };
-    coupler.slave("EK1100", IO, Settings { features: Features(0x0180), ..Settings::default() })
+    coupler.slave("EK1100", own(IO), Settings { features: 0x0180, ..Settings::default() })
 }
 
 fn line() -> Wire {
-    let long = Settings { features: Features(0x018C), ..Settings::default() };
+    let long = Settings { features: 0x018C, ..Settings::default() };
     Wire::new(vec![coupler(), drive(Settings::default()), drive(long)])
 }
 
@@ -179,7 +183,7 @@ fn all_of_a_line_is_told() {
 fn running() -> Wire {
     let mut wire = line();
     let apwr = |register| Command::Apwr(position(1), register);
-    for (n, (manager, _)) in contents().managers.iter().enumerate() {
+    for (n, manager) in contents().managers.iter().enumerate() {
         let at = address::sync_manager(n as u16);
         assert_eq!(wire.master(apwr(at), &manager.to_bytes()).1, 1);
     }
@@ -218,7 +222,7 @@ fn a_drive_that_works_is_told_as_it_is_set_and_left_alone() {
             }
         }
     }
-    assert_eq!(wire.line.slave(1).unwrap().state(), AlState::SafeOp);
+    assert_eq!(wire.line.slave(1).unwrap().state(), sim::AlState::SafeOp);
     // Of one that has refused a state its error and the code.
     let control = AlStatus::request(AlState::Op).0.to_le_bytes();
     wire.master(Command::Apwr(position(2), address::AL_CONTROL), &control);
@@ -232,7 +236,7 @@ fn its_sii_is_read_when_asked_for_and_given_back() {
     let mut wire = running();
     let slaves = wire.scan(Options { sii: true }).unwrap();
     assert_eq!(slaves[1].sii.as_ref().unwrap().identity, S700);
-    assert_eq!(wire.line.slave(1).unwrap().state(), AlState::SafeOp);
+    assert_eq!(wire.line.slave(1).unwrap().state(), sim::AlState::SafeOp);
     // In INIT, and given to the slave's processor, as a master leaves it: that of all others stays the master's.
     let mut wire = line();
     let owner = Command::Apwr(position(2), address::SII_OWNER);
@@ -254,14 +258,14 @@ fn an_eeprom_may_take_its_time_or_be_of_no_use() {
         assert!(slaves[1].sii.is_ok());
         slaves.swap_remove(0).sii
     };
-    let usual = Access::default;
+    let usual = SiiSettings::default;
     let with = |sii_access| {
         let settings = Settings { sii_access, sii: contents().image(), ..Settings::default() };
         answer(settings, Box::new(Drive::new(DriveSettings::new(Family::S700))))
     };
     for access in [
-        Access { eight: true, busy_ns: 2 * MS, ..usual() },
-        Access { emulated: true, busy_ns: 2 * MS, ..usual() },
+        SiiSettings { eight: true, busy_ns: 2 * MS, ..usual() },
+        SiiSettings { emulated: true, busy_ns: 2 * MS, ..usual() },
     ] {
         let sii = with(access).unwrap();
         assert_eq!(
@@ -270,7 +274,7 @@ fn an_eeprom_may_take_its_time_or_be_of_no_use() {
             "{access:?}"
         );
     }
-    assert_eq!(with(Access { busy_ns: u64::MAX / 2, ..usual() }), Err(Unread::Busy));
+    assert_eq!(with(SiiSettings { busy_ns: u64::MAX / 2, ..usual() }), Err(Unread::Busy));
     // Zeros: categories without an end. Nothing at all: erased.
     for (sii, vendor) in [(vec![0; 0x400], 0), (Vec::new(), u32::MAX)] {
         let settings = Settings { sii, ..Settings::default() };
@@ -340,8 +344,8 @@ fn error_counters_stand_where_the_standard_has_them() {
 
 #[test]
 fn an_acknowledgement_that_a_slave_without_a_processor_mirrors_is_no_error() {
-    let settings = Settings { features: Features(0x0180), emulated: true, ..Settings::default() };
-    let mut wire = Wire::new(vec![Coupler::default().slave("EK1100", IO, settings)]);
+    let settings = Settings { features: 0x0180, emulated: true, ..Settings::default() };
+    let mut wire = Wire::new(vec![Coupler::default().slave("EK1100", own(IO), settings)]);
     // As other masters request INIT, and PREOP.
     for control in [0x11, 0x12] {
         wire.master(Command::Apwr(0, address::AL_CONTROL), &[control, 0]);

@@ -25,8 +25,7 @@ use fieldbeat_ethercat::segment::*;
 use fieldbeat_ethercat::service::Service;
 use fieldbeat_ethercat::slot::Answers;
 use fieldbeat_ethercat::wire::frame::{Command, datagrams, position};
-use fieldbeat_ethercat::wire::registers::{AlState, Features, address};
-use fieldbeat_ethercat::wire::sii::Identity;
+use fieldbeat_ethercat::wire::registers::{AlState, address};
 use fieldbeat_sim::SimSegment;
 use fieldbeat_sim::ethercat::{self, Coupler, Esc, EthercatSegment, EthercatSim, Settings};
 
@@ -202,7 +201,7 @@ impl Rig {
     }
 
     fn al(&mut self, place: usize) -> AlState {
-        self.slave(place).state()
+        AlState::new(self.slave(place).state() as u8).unwrap()
     }
 
     fn slave(&mut self, place: usize) -> &mut Esc {
@@ -284,12 +283,12 @@ fn terminals() -> EthercatPlan {
     EthercatPlan { devices: vec![coupler(0)], ..drives(0) }
 }
 
-const IO: Identity = Identity { vendor: 2, product: 0, revision: 0 };
+const IO: ethercat::Identity = ethercat::Identity { vendor: 2, product: 0, revision: 0 };
 
 impl Rig {
     /// The terminals of this plan, with these settings of their controllers.
     fn io(plan: &EthercatPlan, settings: Settings) -> Rig {
-        let settings = Settings { features: Features(0x0180), ..settings };
+        let settings = Settings { features: 0x0180, ..settings };
         let slave = |device| Coupler::of(device).slave("I/O", IO, settings.clone());
         Rig::of(plan, plan.devices.iter().map(slave).collect())
     }

@@ -18,7 +18,7 @@ use fieldbeat_ethercat::plan::{KollmorgenDrive, Mapping, Watchdog};
 use fieldbeat_ethercat::profile::capabilities;
 use fieldbeat_ethercat::station::*;
 use fieldbeat_ethercat::wire::registers::AlState;
-use fieldbeat_sim::ethercat::Application;
+use fieldbeat_sim::ethercat::{self as sim, Application};
 
 const PERIOD: u64 = MS;
 const STOP: Command = Command::Stop { deceleration: None };
@@ -76,7 +76,7 @@ fn what_it_cannot_do_is_refused_at_once_by_name() {
     };
     let mut rig = Rig::enabled(velocity());
     assert!(unsupported(&mut rig, Rig::by(1.0)) && unsupported(&mut rig, Command::Follow));
-    rig.drive.provoke(Fault::EARTH);
+    rig.drive.provoke(Fault::EARTH.code);
     rig.turns(200);
     let reset = rig.run(Command::ResetFault);
     assert!(matches!(reset, Err(Failure::Unsupported(why)) if why.contains("cold start")));
@@ -265,7 +265,7 @@ fn a_homing_that_is_left_before_its_mode_is_there_starts_none_then_or_later() {
     let mut rig = late_akd();
     rig.order(Command::Home);
     let until_home =
-        rig.until("home", 200, |rig| rig.control() & 0x10 != 0 && rig.drive.mode() == Mode::HOMING);
+        rig.until("home", 200, |rig| rig.control() & 0x10 != 0 && rig.drive.mode() == Mode::HOMING.0);
     assert!(rig.outputs[place] == 6 && until_home > 10, "{until_home}");
     for command in [STOP, Command::QuickStop, Command::Disable] {
         for turns in 1..until_home - 3 {
@@ -279,7 +279,7 @@ fn a_homing_that_is_left_before_its_mode_is_there_starts_none_then_or_later() {
                     rig.turn();
                     let starts = rig.control() & 0x10 != 0;
                     assert!(
-                        !(starts && (rig.drive.mode() == Mode::HOMING || rig.outputs[place] == 6)),
+                        !(starts && (rig.drive.mode() == Mode::HOMING.0 || rig.outputs[place] == 6)),
                         "{command:?} after {turns}"
                     );
                     let moved = rig.drive.position() - stood;
@@ -294,7 +294,7 @@ fn a_homing_that_is_left_before_its_mode_is_there_starts_none_then_or_later() {
             step(&mut rig, 500);
             assert_eq!(
                 (rig.control(), rig.drive.mode()),
-                (0x1F, Mode::INTERPOLATED),
+                (0x1F, Mode::INTERPOLATED.0),
                 "{command:?} after {turns}"
             );
             rig.done(Rig::by(0.1));
@@ -385,14 +385,14 @@ fn a_drive_that_falls_to_safeop_is_not_told_as_enabled_and_does_not_come_back_by
     let mut rig = Rig::enabled(velocity());
     rig.order(Rig::jog(1.0));
     rig.turns(200);
-    rig.drive.may_enter(rig.now, AlState::SafeOp).unwrap();
+    rig.drive.may_enter(rig.now, sim::AlState::SafeOp).unwrap();
     rig.al = AlState::SafeOp;
     rig.turn();
     assert!(!matches!(rig.state(), State::OperationEnabled | State::QuickStopActive), "{:?}", rig.state());
     rig.turn();
     assert!(matches!(rig.end(), Some(Err(Failure::Dropped(_)))), "{:?}", rig.end());
     rig.turns(300);
-    rig.drive.may_enter(rig.now, AlState::Op).unwrap();
+    rig.drive.may_enter(rig.now, sim::AlState::Op).unwrap();
     rig.al = AlState::Op;
     rig.station.operational(Some(AlState::Op), &mut rig.slot);
     for _ in 0..300 {

@@ -4,17 +4,14 @@
 //! one falls. The status has nothing but the toggle bit, which changes with each value.
 
 use super::Application;
+use super::codec::mailbox::abort;
+use super::codec::objects::Object;
+use super::codec::registers::{AlState, code};
 use super::mailbox::{Answer, Mailbox};
 use super::settings::Dialect;
 use super::sii::Contents;
 use fieldbeat_core::time::{MS, Time};
-use fieldbeat_ethercat::object::Object;
-use fieldbeat_ethercat::wire::registers::{AlCode, AlState};
-use fieldbeat_ethercat::wire::sdo::AbortCode;
 
-const NO_BOOT: AlCode = AlCode(0x0013);
-const OUTPUTS_WRONG: AlCode = AlCode(0x001D);
-const INPUTS_WRONG: AlCode = AlCode(0x001E);
 /// The bytes of a channel: status, value.
 const CHANNEL: usize = 4;
 const CHANNELS: usize = 2;
@@ -69,15 +66,15 @@ impl Analogue {
             (0x1C12, 0) => Ok(vec![0]),
             (0x1C13, 0) => Ok(vec![self.contents.inputs.len() as u8]),
             (0x1C13, sub) => {
-                let assigned = self.contents.inputs.get(usize::from(sub) - 1).ok_or(AbortCode::NO_SUB)?;
+                let (assigned, _) = self.contents.inputs.get(usize::from(sub) - 1).ok_or(abort::NO_SUB)?;
                 Ok(assigned.index.to_le_bytes().to_vec())
             }
             (0x1A00 | 0x1A02, sub) => {
-                let pdo = self.contents.inputs.iter().find(|pdo| pdo.index == object.index);
-                let entries = pdo.map_or(&[][..], |pdo| &pdo.entries);
+                let pdo = self.contents.inputs.iter().find(|(pdo, _)| pdo.index == object.index);
+                let entries = pdo.map_or(&[][..], |(pdo, _)| &pdo.entries);
                 let Some(n) = usize::from(sub).checked_sub(1) else { return Ok(vec![entries.len() as u8]) };
-                let (index, sub, bits) = *entries.get(n).ok_or(AbortCode::NO_SUB)?;
-                long(u32::from(index) << 16 | u32::from(sub) << 8 | u32::from(bits))
+                let (mapped, bits) = *entries.get(n).ok_or(abort::NO_SUB)?;
+                long(u32::from(mapped.index) << 16 | u32::from(mapped.sub) << 8 | u32::from(bits))
             }
             (0x1800 | 0x1802, 0) => Ok(vec![9]),
             (0x1800 | 0x1802, 7) => Ok(vec![0]),
@@ -90,18 +87,18 @@ impl Analogue {
             _ if object == LIMIT => Ok(self.limit.to_le_bytes().to_vec()),
             _ if object == TEXT => Ok(self.text.clone()),
             (0x1000 | 0x1008 | 0x1018 | 0x1800 | 0x1802 | 0x1C00 | 0x1C12 | 0x6000 | 0x6010, _) => {
-                Err(AbortCode::NO_SUB)
+                Err(abort::NO_SUB)
             }
-            _ => Err(AbortCode::NO_OBJECT),
+            _ => Err(abort::NO_OBJECT),
         }
     }
 
     fn write(&mut self, object: Object, data: &[u8]) -> Answer {
         match object {
-            LIMIT => self.limit = u16::from_le_bytes(data.try_into().map_err(|_| AbortCode::LENGTH)?),
-            TEXT if data.len() > TEXT_MOST => return Err(AbortCode::LENGTH),
+            LIMIT => self.limit = u16::from_le_bytes(data.try_into().map_err(|_| abort::LENGTH)?),
+            TEXT if data.len() > TEXT_MOST => return Err(abort::LENGTH),
             TEXT => self.text = data.to_vec(),
-            _ => return self.read(object).and(Err(AbortCode::READ_ONLY)),
+            _ => return self.read(object).and(Err(abort::READ_ONLY)),
         }
         Ok(Vec::new())
     }
@@ -111,7 +108,7 @@ impl Application for Analogue {
     fn mailbox(&mut self, request: &[u8], reply: &mut Vec<u8>) -> bool {
         if let Some(request) = self.mailbox.take(request) {
             let answer = match &request.data {
-                _ if request.complete => Err(AbortCode::NOT_COMPLETE),
+                _ if request.complete => Err(abort::NOT_COMPLETE),
                 Some(data) => self.write(request.object, data),
                 None => self.read(request.object),
             };
@@ -124,9 +121,9 @@ impl Application for Analogue {
         self.mailbox.next().map(|next| *message = next).is_some()
     }
 
-    fn may_enter(&mut self, _now: Time, state: AlState) -> Result<(), AlCode> {
+    fn may_enter(&mut self, _now: Time, state: AlState) -> Result<(), u16> {
         match state {
-            AlState::Boot => return Err(NO_BOOT),
+            AlState::Boot => return Err(code::NO_BOOT),
             AlState::Init => self.mailbox.reset(),
             _ => {}
         }
@@ -141,10 +138,10 @@ impl Application for Analogue {
         }
     }
 
-    fn check_sizes(&self, outputs: usize, inputs: usize) -> Result<(), AlCode> {
+    fn check_sizes(&self, outputs: usize, inputs: usize) -> Result<(), u16> {
         match (outputs, inputs) {
-            (1.., _) => Err(OUTPUTS_WRONG),
-            (_, inputs) if inputs != CHANNELS * CHANNEL => Err(INPUTS_WRONG),
+            (1.., _) => Err(code::OUTPUTS),
+            (_, inputs) if inputs != CHANNELS * CHANNEL => Err(code::INPUTS),
             _ => Ok(()),
         }
     }

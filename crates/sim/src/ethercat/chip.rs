@@ -22,37 +22,23 @@ use std::ops::Range;
 pub use self::met::Met;
 pub use self::misuse::Misuse;
 use super::clock::Clock;
+use super::codec::registers::{AlState, Fmmu, SyncManager, address, al, code, feature, links};
+use super::codec::sii::{FORCED, SLAVE_OWNS, bit};
 use super::hardware::Settings;
 use super::manager::Manager;
 use super::sii::Eeprom;
 use fieldbeat_core::time::Time;
-use fieldbeat_ethercat::wire::registers::{AlCode, AlState, AlStatus, Features, Fmmu, SyncManager, address};
-use fieldbeat_ethercat::wire::sii::Status;
 
 const SPACE: usize = 0x1_0000;
 /// Memory that a master may use freely; digital outputs of small slaves begin here.
 const USER: usize = 0x0F00;
 const PROCESS: usize = 0x1000;
-const AL_CODE: usize = 0x0134;
 /// Events for the master: links and state have changed.
-const EVENTS: usize = 0x0210;
 const LINKS_CHANGED: u16 = 1 << 2;
 const STATE_CHANGED: u16 = 1 << 3;
-/// Events for the firmware.
-const REQUESTS: usize = 0x0220;
-/// In the AL status: its code is the device id (ETG.1020).
-const DEVICE_ID: u16 = 1 << 5;
-const FIFO_SIZE: usize = 0x0102;
-const ALIAS_ENABLE: usize = 0x0103;
 /// What is behind the controller: digital inputs and outputs, with device emulation; or a microcontroller.
-const PDI_CONTROL: u16 = 0x0140;
 const EMULATED: [u8; 2] = [0x04, 0x01];
 const PROCESSOR: [u8; 2] = [0x08, 0x00];
-const WATCHDOG_COUNTER: usize = 0x0442;
-/// In the owner of the SII: the processor may have it; and behind it: it has it.
-const SLAVES: u8 = 1 << 0;
-/// In the owner: it is taken from the processor.
-const FORCED: u8 = 1 << 1;
 /// The watchdog's divider and time as delivered: 100 us, 100 ms.
 const DIVIDER: u16 = 0x09C2;
 const TICKS: u16 = 1_000;
@@ -73,7 +59,7 @@ pub(super) struct Passage {
 #[derive(Debug)]
 pub(super) struct Chip {
     memory: Vec<u8>,
-    features: Features,
+    features: u16,
     receive_times: bool,
     device_id: Option<u16>,
     /// What it shows there on request only, and whether that is requested.
@@ -105,7 +91,7 @@ impl Chip {
         let mut chip = Chip {
             memory: vec![0; SPACE],
             features: settings.features,
-            receive_times: settings.receive_times || settings.features.has_clock(),
+            receive_times: settings.receive_times || settings.features & feature::CLOCK != 0,
             device_id: settings.device_id,
             identification: settings.identification,
             identifies: false,
@@ -114,7 +100,7 @@ impl Chip {
             fmmus: vec![Fmmu::default(); settings.fmmus.min(32).into()],
             eeprom: Eeprom::new(sii, settings.sii_access),
             clock: Clock::new(
-                settings.features.has_long_clock(),
+                settings.features & feature::LONG_CLOCK != 0,
                 settings.clock_ns,
                 settings.drift_ppm,
                 settings.settling,
@@ -136,14 +122,14 @@ impl Chip {
     /// Its descriptive registers.
     fn describe(&mut self, settings: &Settings) {
         let Settings { kind, ram_kib, ports, .. } = *settings;
-        let [features, divider, ticks] = [self.features.0, DIVIDER, TICKS].map(u16::to_le_bytes);
+        let [features, divider, ticks] = [self.features, DIVIDER, TICKS].map(u16::to_le_bytes);
         self.put(address::TYPE, &kind);
         let (fmmus, managers) = (self.fmmus.len() as u8, self.managers.len() as u8);
         self.put(address::RESOURCES, &[fmmus, managers, ram_kib, ports]);
         self.put(address::FEATURES, &features);
         self.put(address::WATCHDOG_DIVIDER, &divider);
-        self.put(PDI_CONTROL, if self.emulated { &EMULATED } else { &PROCESSOR });
-        self.put(0x0410, &ticks);
+        self.put(address::PDI_CONTROL, if self.emulated { &EMULATED } else { &PROCESSOR });
+        self.put(address::PDI_WATCHDOG, &ticks);
         self.put(address::WATCHDOG, &ticks);
         self.put(address::DC_SPEED, &[0x00, 0x10, 0, 0, 0x00, 0x0C]);
         let alias = self.eeprom.alias();
@@ -151,7 +137,7 @@ impl Chip {
         if settings.sii_access.owned_by_slave {
             self.give_sii();
         }
-        self.show_state(AlState::Init, false, AlCode::NONE);
+        self.show_state(AlState::Init, false, code::NONE);
         self.events = 0;
     }
 
@@ -178,31 +164,27 @@ impl Chip {
 
     /// Shows the links of its ports; a port without one is closed.
     pub(super) fn link(&mut self, ports: [bool; 4]) {
-        let mut links = 0;
-        for (port, up) in ports.into_iter().enumerate() {
-            links |= if up { 1 << (4 + port) | 1 << (9 + 2 * port) } else { 1 << (8 + 2 * port) };
-        }
+        let links = links(ports);
         if links != self.word(address::LINKS) {
             self.put(address::LINKS, &links.to_le_bytes());
             self.events |= LINKS_CHANGED;
         }
     }
 
-    /// Shows a state, and locks the parts that it does not use.
     /// Its identification is requested, or not any more.
     pub(super) fn identify(&mut self, requested: bool) {
         self.identifies = requested;
     }
 
-    pub(super) fn show_state(&mut self, state: AlState, error: bool, code: AlCode) {
+    /// Shows a state, and locks the parts that it does not use.
+    pub(super) fn show_state(&mut self, state: AlState, error: bool, code: u16) {
         let requested = self.identification.filter(|_| self.identifies);
         let own = self.device_id.or(requested).filter(|_| !error);
-        let status = [(error, AlStatus::ERROR), (own.is_some(), DEVICE_ID)]
-            .into_iter()
-            .filter(|(set, _)| *set)
-            .fold(AlStatus::request(state).0, |status, (_, bit)| status | bit);
+        let status = state as u16
+            | if error { al::ERROR } else { 0 }
+            | if own.is_some() { al::IDENTIFICATION } else { 0 };
         self.put(address::AL_STATUS, &status.to_le_bytes());
-        self.put(AL_CODE as u16, &own.unwrap_or(code.0).to_le_bytes());
+        self.put(address::AL_CODE, &own.unwrap_or(code).to_le_bytes());
         self.events |= STATE_CHANGED;
         // What locks buffers is a processor.
         let unlocked = if self.emulated { AlState::Op } else { state };
@@ -215,12 +197,12 @@ impl Chip {
 
     /// Its state, if it has no processor: as it was requested last.
     pub(super) fn emulated_state(&self) -> Option<AlState> {
-        AlStatus(self.word(address::AL_STATUS)).state().filter(|_| self.emulated)
+        AlState::of(self.word(address::AL_STATUS)).filter(|_| self.emulated)
     }
 
     /// Whether its processor may read the SII: the master has given it.
     pub(super) fn has_sii(&self) -> bool {
-        self.memory[usize::from(address::SII_OWNER)] & SLAVES != 0
+        self.memory[usize::from(address::SII_OWNER)] & SLAVE_OWNS != 0
     }
 
     /// A command of its SII has failed.
@@ -230,7 +212,7 @@ impl Chip {
 
     /// The processor has the SII now, and keeps it until it is taken by force.
     pub(super) fn give_sii(&mut self) {
-        self.put(address::SII_OWNER, &[SLAVES; 2]);
+        self.put(address::SII_OWNER, &[SLAVE_OWNS; 2]);
     }
 
     /// When AL control was written, until it is read.
@@ -239,9 +221,9 @@ impl Chip {
     }
 
     /// Reads AL control.
-    pub(super) fn take_request(&mut self) -> AlStatus {
+    pub(super) fn take_request(&mut self) -> u16 {
         self.requested = None;
-        AlStatus(self.word(address::AL_CONTROL))
+        self.word(address::AL_CONTROL)
     }
 
     /// The SyncManagers.
@@ -359,7 +341,8 @@ impl Chip {
         let is_late = self.fed.is_some_and(|fed| now.since(fed) >= limit_ns);
         if is_late && !self.expired {
             self.expired = true;
-            self.memory[WATCHDOG_COUNTER] = self.memory[WATCHDOG_COUNTER].saturating_add(1);
+            let [count] = self.bytes(address::WATCHDOG_COUNTER);
+            self.put(address::WATCHDOG_COUNTER, &[u8::saturating_add(count, 1)]);
         }
         let arms = |manager: &Manager| manager.setting().control & SyncManager::WATCHDOG != 0;
         self.expired && self.managers.iter().any(|manager| manager.is_process(true) && arms(manager))
@@ -376,17 +359,17 @@ impl Chip {
         for n in 0..self.managers.len() {
             let at = address::sync_manager(n as u16);
             let (status, control) = self.managers[n].registers();
-            self.put(at + 5, &[status]);
-            self.put(at + 7, &[control]);
+            self.put(at + SyncManager::STATUS, &[status]);
+            self.put(at + SyncManager::PDI_CONTROL, &[control]);
         }
         let [status, events] = [self.eeprom.status(), self.events].map(u16::to_le_bytes);
         self.put(address::SII_CONTROL, &status);
-        self.put(EVENTS as u16, &events);
+        self.put(address::EVENTS, &events);
         let requests = self.requests();
-        self.put(REQUESTS as u16, &requests.to_le_bytes());
+        self.put(address::REQUESTS, &requests.to_le_bytes());
         let runs = self.watchdog_ns().is_none() || (self.fed.is_some() && !self.expired);
         self.put(address::WATCHDOG_STATUS, &[u8::from(runs)]);
-        if self.features.has_clock() {
+        if self.features & feature::CLOCK != 0 {
             let (system_time, difference) = (self.clock.system_time(), self.clock.difference());
             self.put(address::DC_TIME, &system_time.to_le_bytes());
             self.put(address::DC_DIFFERENCE, &difference.to_le_bytes());
@@ -406,11 +389,11 @@ impl Chip {
     /// Shows the read data, and the alias if it was loaded again.
     fn show_sii(&mut self) {
         let (data, alias) = (self.eeprom.data(), self.eeprom.alias());
-        self.met.sii_failed += u32::from(Status(self.eeprom.status()).failed());
+        self.met.sii_failed += u32::from(self.eeprom.status() & (bit::REFUSED | bit::PROTECTED) != 0);
         self.put(address::SII_DATA, &data);
         if let Some(at) = self.eeprom.slipped_to() {
             self.met.sii_slipped += 1;
-            self.put(address::SII_CONTROL + 2, &at.to_le_bytes());
+            self.put(address::SII_ADDRESS, &at.to_le_bytes());
         }
         self.put(address::ALIAS, &alias.to_le_bytes());
     }

@@ -9,16 +9,14 @@
 //! | after them | analogue, 16 bits each |
 
 use super::Application;
+use super::codec::objects::{Object, Pdo};
+use super::codec::registers::{AlState, SyncManager, code};
+use super::codec::sii::Identity;
 use super::esc::Esc;
 use super::hardware::Settings;
-use super::sii::{Contents, Pdo};
+use super::sii::Contents;
 use fieldbeat_core::time::Time;
-use fieldbeat_ethercat::wire::registers::{AlCode, AlState, SyncManager};
-use fieldbeat_ethercat::wire::sii::{Identity, Use};
 
-const NO_BOOT: AlCode = AlCode(0x0013);
-const OUTPUTS_WRONG: AlCode = AlCode(0x001D);
-const INPUTS_WRONG: AlCode = AlCode(0x001E);
 /// Where the outputs begin; the inputs follow their three buffers.
 const OUTPUTS_AT: u16 = 0x1000;
 /// The PDOs of its digital and analogue terminals, and the objects in them: outputs, inputs.
@@ -46,11 +44,11 @@ impl Terminals {
     }
 
     /// Its PDOs: digital terminals by bytes, analogue ones by words.
-    fn pdos(self, objects: [(u16, u16); 2], manager: u8) -> Vec<Pdo> {
+    fn pdos(self, objects: [(u16, u16); 2], manager: u8) -> Vec<(Pdo, u8)> {
         let counts = [(self.digital_bytes() as u8, 8), (self.analogue, 16)];
         let pdo = |((index, object), (count, bits))| {
-            let entries: Vec<(u16, u8, u8)> = (1..=count).map(|n| (object, n, bits)).collect();
-            (!entries.is_empty()).then_some(Pdo { index, manager, entries })
+            let entries: Vec<_> = (1..=count).map(|n| (Object::new(object, n), bits)).collect();
+            (!entries.is_empty()).then_some((Pdo { index, entries }, manager))
         };
         objects.into_iter().zip(counts).filter_map(pdo).collect()
     }
@@ -76,7 +74,7 @@ impl Coupler {
     pub fn contents(self, name: &'static str, identity: Identity) -> Contents {
         let managers = self.managers();
         let inputs_manager = managers.len().saturating_sub(1) as u8;
-        let fmmus = managers.iter().map(|(_, usage)| if *usage == Use::Outputs { 1 } else { 2 }).collect();
+        let fmmus = managers.iter().map(|manager| if manager.is_output() { 1 } else { 2 }).collect();
         Contents {
             name,
             identity,
@@ -89,16 +87,15 @@ impl Coupler {
     }
 
     /// Its SyncManagers in order, outputs first; none for a missing direction.
-    pub fn managers(self) -> Vec<(SyncManager, Use)> {
+    pub fn managers(self) -> Vec<SyncManager> {
         let (outputs, inputs) = (self.outputs.bytes() as u16, self.inputs.bytes() as u16);
         let inputs_at = OUTPUTS_AT + (3 * outputs).next_multiple_of(0x100);
         [
-            (OUTPUTS_AT, outputs, SyncManager::OUTPUTS | SyncManager::WATCHDOG, Use::Outputs),
-            (inputs_at, inputs, SyncManager::INPUTS, Use::Inputs),
+            SyncManager::on(OUTPUTS_AT, outputs, SyncManager::OUTPUTS | SyncManager::WATCHDOG),
+            SyncManager::on(inputs_at, inputs, SyncManager::INPUTS),
         ]
         .into_iter()
-        .filter(|(_, length, ..)| *length > 0)
-        .map(|(start, length, control, usage)| (SyncManager { start, length, control, activate: 1 }, usage))
+        .filter(|manager| manager.length > 0)
         .collect()
     }
 }
@@ -108,8 +105,8 @@ impl Application for Coupler {
         false
     }
 
-    fn may_enter(&mut self, _now: Time, state: AlState) -> Result<(), AlCode> {
-        if state == AlState::Boot { Err(NO_BOOT) } else { Ok(()) }
+    fn may_enter(&mut self, _now: Time, state: AlState) -> Result<(), u16> {
+        if state == AlState::Boot { Err(code::NO_BOOT) } else { Ok(()) }
     }
 
     fn process(&mut self, _now: Time, outputs: &[u8], inputs: &mut [u8]) {
@@ -145,11 +142,11 @@ impl Application for Coupler {
         }
     }
 
-    fn check_sizes(&self, outputs: usize, inputs: usize) -> Result<(), AlCode> {
+    fn check_sizes(&self, outputs: usize, inputs: usize) -> Result<(), u16> {
         if outputs != self.outputs.bytes() {
-            return Err(OUTPUTS_WRONG);
+            return Err(code::OUTPUTS);
         }
-        if inputs == self.inputs.bytes() { Ok(()) } else { Err(INPUTS_WRONG) }
+        if inputs == self.inputs.bytes() { Ok(()) } else { Err(code::INPUTS) }
     }
 }
 
@@ -168,13 +165,14 @@ mod tests {
     fn its_image_has_bits_and_then_words() {
         let coupler = coupler();
         let wrong = [(5, 4), (6, 5), (6, 4)].map(|(outputs, inputs)| coupler.check_sizes(outputs, inputs));
-        assert_eq!(wrong, [Err(AlCode(0x001D)), Err(AlCode(0x001E)), Ok(())]);
-        let managers: Vec<_> = coupler.managers().iter().map(|(manager, _)| manager.to_bytes()).collect();
+        assert_eq!(wrong, [Err(0x001D), Err(0x001E), Ok(())]);
+        let managers: Vec<_> = coupler.managers().iter().map(|manager| manager.to_bytes()).collect();
         assert_eq!(managers, [[0x00, 0x10, 6, 0, 0x64, 0, 1, 0], [0x00, 0x11, 4, 0, 0x20, 0, 1, 0]]);
         let contents = coupler.contents("EK", IDENTITY);
         assert_eq!(contents.fmmus, [1, 2]);
         assert_eq!((contents.outputs.len(), contents.inputs.len()), (2, 2));
-        assert_eq!(contents.inputs[1], Pdo { index: 0x1A01, manager: 1, entries: vec![(0x6010, 1, 16)] });
+        let words = Pdo { index: 0x1A01, entries: vec![(Object::new(0x6010, 1), 16)] };
+        assert_eq!(contents.inputs[1], (words, 1));
         assert!(Coupler::default().managers().is_empty());
         let full = Terminals { digital: 255, analogue: 255 };
         assert_eq!(full.bytes(), 32 + 510);

@@ -29,6 +29,12 @@ use std::f64::consts::TAU;
 
 use self::motion::Track;
 use super::Application;
+use super::codec::cia402::{self, control, rises};
+use super::codec::objects::number::*;
+use super::codec::objects::{
+    INPUT_PDO, OUTPUT_PDO, Object, Pdo, RESET, category, error_register, fault, has_mode, mode,
+};
+use super::codec::registers::{AlState, code};
 use super::mailbox::Mailbox;
 use super::mapping::Mapping;
 use super::objects::Objects;
@@ -38,15 +44,8 @@ use crate::Truth;
 use crate::physics::PlantPlan;
 use crate::power::{Aim, PowerDrive, PowerPlan, RPM, Reset, set_bits};
 use fieldbeat_core::axis::State;
-use fieldbeat_core::bus::cia402::{Cause, ControlCommand, ControlWord, StatusWord, Transition};
 use fieldbeat_core::time::{MS, S, Time};
-use fieldbeat_ethercat::faults::{Clearing, Fault};
-use fieldbeat_ethercat::mode::Mode;
-use fieldbeat_ethercat::object::number::*;
-use fieldbeat_ethercat::object::pdo::Layout;
-use fieldbeat_ethercat::object::{Family, Object};
-use fieldbeat_ethercat::wire::mailbox::Emergency;
-use fieldbeat_ethercat::wire::registers::{AlCode, AlState};
+use fieldbeat_ethercat::Family;
 
 /// Bandwidth of the position controller, Hz.
 const BANDWIDTH_HZ: f64 = 60.0;
@@ -80,17 +79,15 @@ pub struct Drive {
     mapping: Mapping,
     mailbox: Mailbox,
     /// The modes that it is still in one after the other, each until then, before that of 6060h.
-    leaving: VecDeque<(Mode, Time)>,
-    /// When it last sent an unrequested message.
-    disturbed: Time,
+    leaving: VecDeque<(i8, Time)>,
     sync: Sync,
-    power: PowerDrive<Fault>,
+    power: PowerDrive<u16>,
     al: AlState,
     /// Why it left OP by itself.
-    dropped: Option<AlCode>,
+    dropped: Option<u16>,
     state: State,
     /// The last control word that was followed, since OP.
-    control: Option<ControlWord>,
+    control: Option<u16>,
     /// `None`: its objects have no valid value.
     cycle_ns: Option<u64>,
     track: Track,
@@ -110,7 +107,6 @@ impl Drive {
             mapping: Mapping::new(),
             mailbox: Mailbox::new(settings.dialect, settings.long_sdos.map(usize::from)),
             leaving: VecDeque::new(),
-            disturbed: Time::default(),
             sync: Sync::new(settings.interrupts_to_sync),
             power: power_drive(&settings),
             al: AlState::Init,
@@ -137,18 +133,18 @@ impl Drive {
         let outputs = self.selected(OUTPUT_PDO);
         let has = |object| outputs.is_some_and(|outputs| outputs.place(object).is_some());
         let count = (rpm / self.settings.rpm_per_count).round() as i64;
-        let (mode, setpoint) = match () {
-            () if has(VELOCITY_SETPOINT) => (Mode::DIGITAL_VELOCITY, VELOCITY_SETPOINT),
-            () if has(TARGET_VELOCITY) => (Mode::PROFILE_VELOCITY, TARGET_VELOCITY),
-            () => (Mode::PROFILE_POSITION, PROFILE_VELOCITY),
+        let (own, setpoint) = match () {
+            () if has(VELOCITY_SETPOINT) => (mode::DIGITAL_VELOCITY, VELOCITY_SETPOINT),
+            () if has(TARGET_VELOCITY) => (mode::PROFILE_VELOCITY, TARGET_VELOCITY),
+            () => (mode::PROFILE_POSITION, PROFILE_VELOCITY),
         };
-        self.objects.set(MODE, mode.0.into());
+        self.objects.set(MODE, own.into());
         self.objects.set(setpoint, count);
-        let word = ControlCommand::EnableOperation.word();
-        self.objects.set(CONTROL_WORD, word.0.into());
+        let word = cia402::ENABLE_OPERATION;
+        self.objects.set(CONTROL_WORD, word.into());
         self.start_sync();
         (self.al, self.state, self.control) = (AlState::Op, State::OperationEnabled, Some(word));
-        if mode == Mode::PROFILE_POSITION {
+        if own == mode::PROFILE_POSITION {
             let (up, down) = (self.ramp(ACCELERATION), self.ramp(DECELERATION));
             let place = FAR_TURNS * TAU * rpm.signum();
             self.goal = Some(Aim::GoTo { place, speed: rpm.abs() * RPM, up, down });
@@ -186,8 +182,8 @@ impl Drive {
         self.state
     }
 
-    /// The present fault.
-    pub fn fault(&self) -> Option<Fault> {
+    /// The code of the present fault.
+    pub fn fault(&self) -> Option<u16> {
         self.power.fault()
     }
 
@@ -216,14 +212,9 @@ impl Drive {
         counts(self.power.position(), self.per_turn())
     }
 
-    /// The value of one of its objects; 0 of one that it does not have.
-    pub fn value(&self, object: Object) -> i64 {
-        self.objects.get(object)
-    }
-
-    /// Raises a fault.
-    pub fn provoke(&mut self, fault: Fault) {
-        self.fail(fault);
+    /// Raises the fault with a code.
+    pub fn provoke(&mut self, code: u16) {
+        self.fail(code);
     }
 
     /// Opens the hardware enable (STO) until then.
@@ -287,20 +278,13 @@ impl Drive {
         matches!(self.al, AlState::SafeOp | AlState::Op)
     }
 
-    fn has_mode(&self, mode: Mode) -> bool {
-        match self.settings.family {
-            Family::S700 => mode.is_of_s700(),
-            Family::Akd => matches!(mode.0, 1 | 3 | 4 | 6 | 7 | 8),
-        }
-    }
-
     /// The mode of operation that it is in.
-    pub fn mode(&self) -> Mode {
-        self.leaving.front().map_or(Mode(self.objects.get(MODE) as i8), |(mode, _)| *mode)
+    pub fn mode(&self) -> i8 {
+        self.leaving.front().map_or(self.objects.get(MODE) as i8, |(mode, _)| *mode)
     }
 
     /// 6060h was another one until now.
-    fn change_mode(&mut self, before: Mode) {
+    fn change_mode(&mut self, before: i8) {
         match self.settings.mode_delay_ns {
             0 => self.hold(),
             delay_ns => self.leaving.push_back((before, self.power.now() + delay_ns)),
@@ -345,7 +329,7 @@ impl Drive {
 impl Application for Drive {
     /// Enters a state of the bus if it may, or returns why not. No transition waits without an error: the drive is
     /// synchronous, or it refuses.
-    fn may_enter(&mut self, now: Time, state: AlState) -> Result<(), AlCode> {
+    fn may_enter(&mut self, now: Time, state: AlState) -> Result<(), u16> {
         use AlState::{Boot, Init, Op, PreOp, SafeOp};
         self.advance(now);
         match (self.al, state) {
@@ -354,15 +338,15 @@ impl Application for Drive {
             // A hardware reset.
             (Init, Boot) => self.restart(now),
             (PreOp, SafeOp) if self.sizes().0 == 0 || self.sizes().1 == 0 => {
-                return Err(AlCode::SYNC_MANAGER);
+                return Err(code::SYNC_MANAGER);
             }
             (PreOp, SafeOp) => {}
             (SafeOp, Op) if !self.sync.is_synchronous() => {
-                self.fail(Fault::SYNCHRONISATION);
-                return Err(AlCode::SYNCHRONISATION);
+                self.fail(fault::SYNCHRONISATION);
+                return Err(code::SYNCHRONISATION);
             }
             (SafeOp, Op) => {}
-            _ => return Err(AlCode::INVALID_REQUEST),
+            _ => return Err(code::INVALID_REQUEST),
         }
         self.enter(state);
         Ok(())
@@ -384,15 +368,6 @@ impl Application for Drive {
     /// The next message for the master, whenever its mailbox is empty; false if there is none.
     fn message(&mut self, reply: &mut Vec<u8>) -> bool {
         reply.clear();
-        let now = self.power.now();
-        let is_due = |pause: u64| now.since(self.disturbed) >= pause;
-        if self.mailbox.is_empty()
-            && self.al != AlState::Init
-            && self.settings.unrequested_ns.is_some_and(is_due)
-        {
-            self.disturbed = now;
-            self.mailbox.disturb();
-        }
         let message = self.mailbox.next();
         reply.extend(message.iter().flatten());
         message.is_some()
@@ -424,7 +399,7 @@ impl Application for Drive {
     }
 
     /// Why it left OP by itself, once: it is in SAFEOP now.
-    fn dropped(&mut self) -> Option<AlCode> {
+    fn dropped(&mut self) -> Option<u16> {
         self.dropped.take()
     }
 
@@ -460,13 +435,13 @@ impl Application for Drive {
 
     /// Its answer to P->S with SyncManagers of these lengths. A real AKD distinguishes outputs, and so inputs
     /// (assumed).
-    fn check_sizes(&self, outputs: usize, inputs: usize) -> Result<(), AlCode> {
+    fn check_sizes(&self, outputs: usize, inputs: usize) -> Result<(), u16> {
         let wanted = self.sizes();
         match self.settings.family {
             _ if (outputs, inputs) == wanted => Ok(()),
-            Family::S700 => Err(AlCode::SYNC_MANAGER),
-            Family::Akd if outputs != wanted.0 => Err(AlCode(0x001D)),
-            Family::Akd => Err(AlCode(0x001E)),
+            Family::S700 => Err(code::SYNC_MANAGER),
+            Family::Akd if outputs != wanted.0 => Err(code::OUTPUTS),
+            Family::Akd => Err(code::INPUTS),
         }
     }
 
@@ -476,7 +451,7 @@ impl Application for Drive {
 }
 
 /// The power drive of these settings, at its position.
-fn power_drive(settings: &DriveSettings) -> PowerDrive<Fault> {
+fn power_drive(settings: &DriveSettings) -> PowerDrive<u16> {
     let motor = &settings.motor;
     let mut power = PowerDrive::new(PowerPlan {
         plant: PlantPlan {

@@ -1,18 +1,17 @@
 //! One slave: its controller and its firmware, and the effects of a datagram's commands (ETG.1000.4, 5.4).
 
+use std::ops::Range;
+
 pub use super::chip::Met;
 use super::chip::{Chip, Misuse, Passage};
+use super::codec::frame::{COUNTER, Command, HEADER};
+use super::codec::registers::{AlState, address, feature};
 use super::firmware::Firmware;
 use super::hardware::Settings;
 use super::slave::Left;
 use super::{Application, Drive};
 use fieldbeat_core::time::Time;
-use fieldbeat_ethercat::wire::frame::{Command, DATAGRAM_HEADER, Place, WORKING_COUNTER};
-use fieldbeat_ethercat::wire::registers::{AlCode, AlState, AlStatus, address};
 
-/// The feature bit of a slave without BRW, APRW and FPRW.
-const NO_READ_WRITE: u16 = 1 << 10;
-const ALIAS_ENABLE: u16 = 0x0103;
 /// The cyclic unit is the master's, SYNC0 is on.
 const SYNC0_ON: [u8; 2] = [0x00, 0x03];
 
@@ -50,7 +49,7 @@ impl Esc {
             self.chip.write(address::fmmu(n), fmmu);
         }
         self.chip.write(address::STATION, &left.station.to_le_bytes());
-        self.chip.write(ALIAS_ENABLE, &[left.alias_on.into()]);
+        self.chip.write(address::ALIAS_ENABLE, &[left.alias_on.into()]);
         if left.unwatched {
             self.chip.write(address::WATCHDOG, &[0; 2]);
         }
@@ -70,7 +69,7 @@ impl Esc {
             self.chip.give_sii();
         }
         let (status, code) = left.al;
-        self.firmware.leave(&mut self.chip, AlStatus(status), AlCode(code));
+        self.firmware.leave(&mut self.chip, status, code);
         self.chip.forget_misuse();
     }
 
@@ -80,7 +79,7 @@ impl Esc {
     }
 
     /// Why it refused a state, or fell back, until that is acknowledged.
-    pub fn error(&self) -> Option<AlCode> {
+    pub fn error(&self) -> Option<u16> {
         self.firmware.error()
     }
 
@@ -162,7 +161,7 @@ impl Esc {
     }
 
     /// Lets a frame with datagrams at these offsets pass.
-    pub(super) fn pass(&mut self, passage: Passage, frame: &mut [u8], places: &[Place]) {
+    pub(super) fn pass(&mut self, passage: Passage, frame: &mut [u8], places: &[Range<usize>]) {
         let Passage { at, .. } = passage;
         self.advance(at);
         if self.deaf {
@@ -175,7 +174,7 @@ impl Esc {
         }
         self.chip.begin(passage);
         for place in places {
-            if let Some(datagram) = frame.get_mut(place.at..place.end()) {
+            if let Some(datagram) = frame.get_mut(place.clone()) {
                 self.datagram(datagram);
             }
         }
@@ -187,50 +186,48 @@ impl Esc {
 
     /// Carries out one datagram.
     fn datagram(&mut self, datagram: &mut [u8]) {
-        let Some((header, rest)) = datagram.split_first_chunk_mut::<DATAGRAM_HEADER>() else { return };
-        let Some((data, counter)) = rest.split_last_chunk_mut::<WORKING_COUNTER>() else { return };
+        let Some((header, rest)) = datagram.split_first_chunk_mut::<HEADER>() else { return };
+        let Some((data, counter)) = rest.split_last_chunk_mut::<COUNTER>() else { return };
         let [number, _, a, b, c, d, _, _, e, f] = *header;
-        let Some(command) = Command::new(number, u32::from_le_bytes([a, b, c, d])) else { return };
-        let done = self.execute(command, u16::from_le_bytes([a, b]), data);
+        let Some(command) = Command::of(number) else { return };
+        let [position, register, interrupts] = [[a, b], [c, d], [e, f]].map(u16::from_le_bytes);
+        let done = self.execute(command, position, register, data);
         *counter = u16::from_le_bytes(*counter).wrapping_add(done).to_le_bytes();
-        if counts_position(command) {
-            header[2..4].copy_from_slice(&u16::from_le_bytes([a, b]).wrapping_add(1).to_le_bytes());
+        if command.counts_slaves() {
+            header[2..4].copy_from_slice(&position.wrapping_add(1).to_le_bytes());
         }
-        let interrupts = u16::from_le_bytes([e, f]) | self.chip.interrupts();
-        header[8..].copy_from_slice(&interrupts.to_le_bytes());
+        header[8..].copy_from_slice(&(interrupts | self.chip.interrupts()).to_le_bytes());
     }
 
-    /// Its share of the working counter.
-    fn execute(&mut self, command: Command, first: u16, data: &mut [u8]) -> u16 {
-        use Command::{Aprd, Aprw, Apwr, Armw, Brd, Brw, Bwr, Fprd, Fprw, Fpwr, Frmw, Lrd, Lrw, Lwr, Nop};
+    /// The slave's share of the working counter.
+    fn execute(&mut self, command: Command, to: u16, at: u16, data: &mut [u8]) -> u16 {
+        use Command::{Aprd, Aprw, Apwr, Armw, Brd, Brw, Bwr, Fprd, Fprw, Fpwr, Frmw, Lrd, Lrw, Lwr};
         let is_meant = match command {
-            Aprd(..) | Apwr(..) | Aprw(..) | Armw(..) => first == 0,
-            Fprd(..) | Fpwr(..) | Fprw(..) | Frmw(..) => self.chip.is_called(first),
+            Aprd | Apwr | Aprw | Armw => to == 0,
+            Fprd | Fpwr | Fprw | Frmw => self.chip.is_called(to),
             _ => true,
         };
+        let logical = u32::from(to) | u32::from(at) << 16;
         match command {
-            Aprd(_, at) | Fprd(_, at) | Armw(_, at) | Frmw(_, at) if is_meant => {
-                self.chip.read(at, data, false).into()
-            }
-            Apwr(_, at) | Fpwr(_, at) if is_meant => self.chip.write(at, data).into(),
-            Aprw(_, at) | Fprw(_, at) if is_meant => self.exchange(at, data, false),
-            Armw(_, at) | Frmw(_, at) | Bwr(at) => self.chip.write(at, data).into(),
-            Brd(at) => self.chip.read(at, data, true).into(),
-            Brw(at) => self.exchange(at, data, true),
-            Lrd(at) => self.chip.read_logical(at, data).into(),
-            Lwr(at) => self.chip.write_logical(at, data).into(),
-            Lrw(at) if !self.settings.features.lacks_lrw() => {
+            Aprd | Fprd | Armw | Frmw if is_meant => self.chip.read(at, data, false).into(),
+            Apwr | Fpwr if !is_meant => 0,
+            Apwr | Fpwr | Bwr | Armw | Frmw => self.chip.write(at, data).into(),
+            Aprw | Fprw | Brw if is_meant => self.exchange(at, data, command == Brw),
+            Brd => self.chip.read(at, data, true).into(),
+            Lrd => self.chip.read_logical(logical, data).into(),
+            Lwr => self.chip.write_logical(logical, data).into(),
+            Lrw if self.settings.features & feature::NO_LRW == 0 => {
                 // The received data are written, not the read data.
-                let written = self.chip.write_logical(at, data);
-                u16::from(self.chip.read_logical(at, data)) + 2 * u16::from(written)
+                let written = self.chip.write_logical(logical, data);
+                u16::from(self.chip.read_logical(logical, data)) + 2 * u16::from(written)
             }
-            Nop | Lrw(_) | Aprd(..) | Apwr(..) | Aprw(..) | Fprd(..) | Fpwr(..) | Fprw(..) => 0,
+            _ => 0,
         }
     }
 
     /// Reads, then writes the received data.
     fn exchange(&mut self, at: u16, data: &mut [u8], or: bool) -> u16 {
-        if self.settings.features.0 & NO_READ_WRITE != 0 {
+        if self.settings.features & feature::NO_READ_WRITE != 0 {
             return 0;
         }
         self.sent.clear();
@@ -238,12 +235,6 @@ impl Esc {
         let read = self.chip.read(at, data, or);
         u16::from(read) + 2 * u16::from(self.chip.write(at, &self.sent))
     }
-}
-
-/// Whether each slave adds 1 to the position in a command.
-fn counts_position(command: Command) -> bool {
-    use Command::{Aprd, Aprw, Apwr, Armw, Brd, Brw, Bwr};
-    matches!(command, Aprd(..) | Apwr(..) | Aprw(..) | Armw(..) | Brd(_) | Bwr(_) | Brw(_))
 }
 
 #[cfg(test)]

@@ -4,22 +4,14 @@
 use std::ops::Range;
 
 use super::chip::Chip;
+use super::codec::registers::{AlState, SyncManager, address, al, code};
+use super::codec::sii::word;
 use super::hardware::Settings;
 use super::manager::Manager;
 use super::slave::MailboxSettings;
 use super::{Application, Drive};
 use fieldbeat_core::time::Time;
-use fieldbeat_ethercat::wire::registers::{AlCode, AlState, AlStatus, SyncManager, address};
-use fieldbeat_ethercat::wire::sii::{Use, word};
 
-/// Standard codes that every slave has.
-const UNKNOWN_STATE: AlCode = AlCode(0x0012);
-const MAILBOX: AlCode = AlCode(0x0016);
-const NO_SII: AlCode = AlCode(0x0050);
-const OUTPUTS: AlCode = AlCode(0x001D);
-const INPUTS: AlCode = AlCode(0x001E);
-/// In AL control: its identification is requested.
-const IDENTIFICATION: u16 = 1 << 5;
 /// Buffers below it are no memory, but outputs.
 const MEMORY: usize = 0x1000;
 
@@ -27,16 +19,16 @@ const MEMORY: usize = 0x1000;
 #[derive(Debug)]
 pub(super) struct Firmware {
     application: Box<dyn Application>,
-    watchdog_code: AlCode,
+    watchdog_code: u16,
     reaction_ns: u64,
     has_mailbox: bool,
     /// It reads its SII on the way to PREOP.
     reads_sii: bool,
     /// The SyncManagers that it wants; empty: it does not compare them.
-    wanted: Vec<(SyncManager, Use)>,
+    wanted: Vec<SyncManager>,
     state: AlState,
     /// Why it refused, or fell back, until that is acknowledged.
-    error: Option<AlCode>,
+    error: Option<u16>,
     /// The requested state of the application that it cannot enter yet.
     pending: Option<AlState>,
     manner: MailboxSettings,
@@ -55,7 +47,7 @@ pub(super) struct Firmware {
 
 impl Firmware {
     pub(super) fn new(application: Box<dyn Application>, settings: &Settings) -> Firmware {
-        let protocols = settings.sii.get(usize::from(word::PROTOCOLS));
+        let protocols = settings.sii.get(word::PROTOCOLS);
         Firmware {
             application,
             watchdog_code: settings.watchdog_code,
@@ -82,7 +74,7 @@ impl Firmware {
     }
 
     /// Why it refused, or fell back, until that is acknowledged.
-    pub(super) fn error(&self) -> Option<AlCode> {
+    pub(super) fn error(&self) -> Option<u16> {
         self.error
     }
 
@@ -104,11 +96,11 @@ impl Firmware {
     }
 
     /// It is as another master has left it.
-    pub(super) fn leave(&mut self, chip: &mut Chip, status: AlStatus, code: AlCode) {
-        self.state = status.state().unwrap_or_default();
-        self.error = status.error().then_some(code);
+    pub(super) fn leave(&mut self, chip: &mut Chip, status: u16, code: u16) {
+        self.state = AlState::of(status).unwrap_or_default();
+        self.error = (status & al::ERROR != 0).then_some(code);
         if chip.emulated_state().is_some() {
-            chip.write(address::AL_CONTROL, &status.0.to_le_bytes());
+            chip.write(address::AL_CONTROL, &status.to_le_bytes());
             return;
         }
         self.application.left_in(self.state);
@@ -192,20 +184,20 @@ impl Firmware {
     }
 
     pub(super) fn show(&self, chip: &mut Chip) {
-        chip.show_state(self.state, self.error.is_some(), self.error.unwrap_or(AlCode::NONE));
+        chip.show_state(self.state, self.error.is_some(), self.error.unwrap_or(code::NONE));
     }
 
     /// Takes a request of the master's.
-    fn take(&mut self, chip: &mut Chip, request: AlStatus, now: Time) {
-        if self.error.is_some() && !request.error() {
+    fn take(&mut self, chip: &mut Chip, request: u16, now: Time) {
+        if self.error.is_some() && request & al::ERROR == 0 {
             return;
         }
         (self.error, self.pending) = (None, None);
-        chip.identify(request.0 & IDENTIFICATION != 0);
-        match request.state() {
-            None => self.refuse(UNKNOWN_STATE),
+        chip.identify(request & al::IDENTIFICATION != 0);
+        match AlState::of(request) {
+            None => self.refuse(code::UNKNOWN_STATE),
             Some(state) if state == self.state => {}
-            Some(state) if !leads(self.state, state) => self.refuse(AlCode::INVALID_REQUEST),
+            Some(state) if !leads(self.state, state) => self.refuse(code::INVALID_REQUEST),
             Some(state) if state < self.state => {
                 // It is informed, not asked.
                 let _ = self.application.may_enter(now, state);
@@ -216,7 +208,7 @@ impl Firmware {
         self.show(chip);
     }
 
-    fn refuse(&mut self, code: AlCode) {
+    fn refuse(&mut self, code: u16) {
         (self.error, self.pending) = (Some(code), None);
     }
 
@@ -224,7 +216,7 @@ impl Firmware {
     fn rise(&mut self, chip: &mut Chip, state: AlState, now: Time) {
         match self.check(chip, state).and_then(|()| self.application.may_enter(now, state)) {
             Ok(()) => self.enter(chip, state, now),
-            Err(AlCode::NONE) => self.pending = Some(state),
+            Err(code::NONE) => self.pending = Some(state),
             Err(code) => {
                 self.refuse(code);
                 self.show(chip);
@@ -256,12 +248,12 @@ impl Firmware {
     }
 
     /// Faults of the SyncManagers for a state.
-    fn check(&self, chip: &Chip, state: AlState) -> Result<(), AlCode> {
+    fn check(&self, chip: &Chip, state: AlState) -> Result<(), u16> {
         match state {
-            AlState::PreOp if self.reads_sii && !chip.has_sii() => Err(NO_SII),
+            AlState::PreOp if self.reads_sii && !chip.has_sii() => Err(code::NO_SII),
             AlState::PreOp if self.has_mailbox => {
                 let fits = |n: usize, output| chip.managers().get(n).is_some_and(|m| m.is_mailbox(output));
-                if fits(0, true) && fits(1, false) { self.compare(chip, state) } else { Err(MAILBOX) }
+                if fits(0, true) && fits(1, false) { self.compare(chip, state) } else { Err(code::MAILBOX) }
             }
             AlState::SafeOp | AlState::Op => {
                 self.compare(chip, state).and_then(|()| self.check_process(chip))
@@ -272,28 +264,28 @@ impl Firmware {
 
     /// Compares the SyncManagers that a state needs with the wanted ones: start, length, control, and whether they
     /// are on.
-    fn compare(&self, chip: &Chip, state: AlState) -> Result<(), AlCode> {
-        for (n, (wanted, usage)) in self.wanted.iter().enumerate() {
+    fn compare(&self, chip: &Chip, state: AlState) -> Result<(), u16> {
+        for (n, wanted) in self.wanted.iter().enumerate() {
             let is_due = wanted.is_mailbox() || state >= AlState::SafeOp;
             let set = chip.managers().get(n).map(Manager::setting).unwrap_or_default();
             let fits = SyncManager { activate: wanted.activate, ..set } == *wanted;
             if is_due && wanted.length > 0 && !(fits && set.activate & 1 == wanted.activate & 1) {
-                return Err(match usage {
-                    Use::Outputs => OUTPUTS,
-                    Use::Inputs => INPUTS,
-                    _ => MAILBOX,
+                return Err(match (wanted.is_mailbox(), wanted.is_output()) {
+                    (true, _) => code::MAILBOX,
+                    (false, true) => code::OUTPUTS,
+                    (false, false) => code::INPUTS,
                 });
             }
         }
         Ok(())
     }
 
-    fn check_process(&self, chip: &Chip) -> Result<(), AlCode> {
+    fn check_process(&self, chip: &Chip) -> Result<(), u16> {
         let managers: Vec<&Manager> = chip.managers().iter().filter(|manager| manager.is_on()).collect();
         let areas: Vec<Range<usize>> =
             managers.iter().map(|manager| manager.footprint()).filter(|area| area.start >= MEMORY).collect();
         if areas.iter().any(|area| area.end > chip.memory_end()) || overlap(areas) {
-            return Err(AlCode::SYNC_MANAGER);
+            return Err(code::SYNC_MANAGER);
         }
         let bytes = |output| -> usize {
             managers

@@ -1,9 +1,7 @@
 //! The settings of one slave: its controller, its EEPROM, its clock, its reaction time.
 
-use super::sii::Access;
-use super::slave::MailboxSettings;
-use fieldbeat_ethercat::wire::registers::{AlCode, Features, SyncManager};
-use fieldbeat_ethercat::wire::sii::Use;
+use super::codec::registers::{SyncManager, code};
+use super::slave::{MailboxSettings, SiiSettings};
 
 /// The settings of a slave.
 #[derive(Clone, Debug)]
@@ -11,7 +9,7 @@ pub struct Settings {
     /// Type, revision and build.
     pub kind: [u8; 4],
     /// The features of its controller.
-    pub features: Features,
+    pub features: u16,
     /// It has receive times, even without a clock: enough to measure delays.
     pub receive_times: bool,
     /// The number of its FMMUs, at most 32.
@@ -25,7 +23,7 @@ pub struct Settings {
     /// The words of its EEPROM; [`sii::Contents`](super::sii::Contents) makes them.
     pub sii: Vec<u16>,
     /// The timing of EEPROM access.
-    pub sii_access: Access,
+    pub sii_access: SiiSettings,
     /// The time of its clock at its start, ns.
     pub clock_ns: u64,
     /// How much faster than ours its clock runs.
@@ -37,7 +35,7 @@ pub struct Settings {
     pub emulated: bool,
     /// The SyncManagers that its processor wants, byte by byte; a state is refused with others. Empty: their number
     /// and sizes only, as its application checks them.
-    pub managers: Vec<(SyncManager, Use)>,
+    pub managers: Vec<SyncManager>,
     /// How its mailbox answers.
     pub mailbox: MailboxSettings,
     /// How long its firmware takes to read AL control or the mailbox.
@@ -49,7 +47,7 @@ pub struct Settings {
     pub identification: Option<u16>,
     /// The code with which it falls back when outputs are missing. That of a Kollmorgen S300 ... S700 is not known;
     /// of those that its manual names only that of synchronisation would fit.
-    pub watchdog_code: AlCode,
+    pub watchdog_code: u16,
     /// The delay from the slave before it to this one, each way.
     pub delay_ns: u64,
 }
@@ -59,14 +57,14 @@ impl Default for Settings {
     fn default() -> Settings {
         Settings {
             kind: [0x04, 0x02, 0x00, 0x00],
-            features: Features(0x0184),
+            features: 0x0184,
             receive_times: true,
             fmmus: 8,
             sync_managers: 8,
             ram_kib: 8,
             ports: 0x0F,
             sii: Vec::new(),
-            sii_access: Access::default(),
+            sii_access: SiiSettings { busy_ns: 0, ..SiiSettings::default() },
             clock_ns: 0,
             drift_ppm: 0.0,
             settling: 32,
@@ -76,7 +74,7 @@ impl Default for Settings {
             reaction_ns: 0,
             device_id: None,
             identification: None,
-            watchdog_code: AlCode::WATCHDOG,
+            watchdog_code: code::WATCHDOG,
             delay_ns: 0,
         }
     }

@@ -2,14 +2,12 @@
 
 use std::ops::Range;
 
-use fieldbeat_ethercat::wire::registers::{AlState, SyncManager};
+use super::codec::registers::{AlState, SyncManager};
 
-/// Bits of the status, as a real drive shows them: 0x09 full, 0x02 read.
-const WRITTEN: u8 = 1 << 0;
-const READ: u8 = 1 << 1;
-/// In `activate`: it is on; and this bit, toggled, requests the last message again.
-const ON: u8 = 1 << 0;
-const REPEAT: u8 = 1 << 1;
+const WRITTEN: u8 = SyncManager::WRITTEN;
+const READ: u8 = SyncManager::READ;
+const ON: u8 = SyncManager::ON;
+const REPEAT: u8 = SyncManager::REPEAT;
 
 /// One SyncManager.
 #[derive(Clone, Debug, Default)]

@@ -2,10 +2,8 @@
 //!
 //! Knows which entries are where, not whether an object may be mapped.
 
-use super::objects::abort;
-use fieldbeat_ethercat::object::pdo::{Entry, Layout};
-use fieldbeat_ethercat::object::{Object, Type};
-use fieldbeat_ethercat::wire::sdo::AbortCode;
+use super::codec::mailbox::abort;
+use super::codec::objects::{Object, Pdo, Type};
 
 /// PDOs in each direction, and entries of each (assumed).
 const PDOS: u16 = 4;
@@ -13,33 +11,25 @@ const ENTRIES: usize = 8;
 const OUTPUTS: u16 = 0x1600;
 const INPUTS: u16 = 0x1A00;
 
-/// One of them.
+/// All of them: the entries, and the PDO of those that its count activates.
 #[derive(Debug)]
-struct Pdo {
-    entries: [u32; ENTRIES],
-    /// The entries that its count activates.
-    layout: Layout,
-}
-
-/// All of them.
-#[derive(Debug)]
-pub(super) struct Mapping(Vec<Pdo>);
+pub(super) struct Mapping(Vec<([u32; ENTRIES], Pdo)>);
 
 impl Mapping {
     /// As delivered: none has an entry (assumed).
     pub(super) fn new() -> Mapping {
-        let empty = |pdo| Pdo { entries: [0; ENTRIES], layout: Layout { pdo, entries: Vec::new() } };
+        let empty = |index| ([0; ENTRIES], Pdo { index, entries: Vec::new() });
         Mapping((OUTPUTS..OUTPUTS + PDOS).chain(INPUTS..INPUTS + PDOS).map(empty).collect())
     }
 
     /// Those that have entries.
-    pub(super) fn layouts(&self) -> impl Iterator<Item = &Layout> {
-        self.0.iter().map(|pdo| &pdo.layout).filter(|layout| !layout.entries.is_empty())
+    pub(super) fn pdos(&self) -> impl Iterator<Item = &Pdo> {
+        self.0.iter().map(|(_, pdo)| pdo).filter(|pdo| !pdo.entries.is_empty())
     }
 
     /// Whether an object is one of theirs.
     pub(super) fn has(&self, object: Object) -> bool {
-        self.0.iter().any(|pdo| pdo.layout.pdo == object.index)
+        self.0.iter().any(|(_, pdo)| pdo.index == object.index)
     }
 
     /// The number of subindices after the count.
@@ -47,13 +37,12 @@ impl Mapping {
         ENTRIES as u8
     }
 
-    pub(super) fn read(&self, object: Object) -> Result<Vec<u8>, AbortCode> {
-        let pdo = self.0.iter().find(|pdo| pdo.layout.pdo == object.index).ok_or(AbortCode::NO_OBJECT)?;
+    pub(super) fn read(&self, object: Object) -> Result<Vec<u8>, u32> {
+        let pdo = self.0.iter().find(|(_, pdo)| pdo.index == object.index);
+        let (entries, pdo) = pdo.ok_or(abort::NO_OBJECT)?;
         match usize::from(object.sub).checked_sub(1) {
-            None => Ok(vec![pdo.layout.entries.len() as u8]),
-            Some(place) => {
-                pdo.entries.get(place).map(|entry| entry.to_le_bytes().to_vec()).ok_or(AbortCode::NO_SUB)
-            }
+            None => Ok(vec![pdo.entries.len() as u8]),
+            Some(place) => entries.get(place).map(|entry| entry.to_le_bytes().to_vec()).ok_or(abort::NO_SUB),
         }
     }
 
@@ -64,25 +53,25 @@ impl Mapping {
         object: Object,
         data: &[u8],
         kind: impl Fn(Object) -> Option<Type>,
-    ) -> Result<(), AbortCode> {
-        let pdo = self.0.iter_mut().find(|pdo| pdo.layout.pdo == object.index).ok_or(AbortCode::NO_OBJECT)?;
+    ) -> Result<(), u32> {
+        let pdo = self.0.iter_mut().find(|(_, pdo)| pdo.index == object.index);
+        let (entries, pdo) = pdo.ok_or(abort::NO_OBJECT)?;
         let entry = |raw: u32| {
-            let object = Object::new((raw >> 16) as u16, (raw >> 8) as u8);
-            let kind = kind(object).filter(|kind| 8 * kind.bytes() == (raw & 0xFF) as usize);
-            kind.map(|kind| Entry { object, kind }).ok_or(abort::NOT_MAPPABLE)
+            let (object, bits) = (Object::new((raw >> 16) as u16, (raw >> 8) as u8), raw as u8);
+            let fits = kind(object).is_some_and(|kind| 8 * kind.bytes() == usize::from(bits));
+            if fits { Ok((object, bits)) } else { Err(abort::NOT_MAPPABLE) }
         };
         let Some(place) = usize::from(object.sub).checked_sub(1) else {
-            let &[count] = data else { return Err(AbortCode::LENGTH) };
-            let wanted = pdo.entries.get(..count.into()).ok_or(abort::HIGH)?;
-            pdo.layout.entries = wanted.iter().map(|raw| entry(*raw)).collect::<Result<_, _>>()?;
+            let &[count] = data else { return Err(abort::LENGTH) };
+            let wanted = entries.get(..count.into()).ok_or(abort::HIGH)?;
+            pdo.entries = wanted.iter().map(|raw| entry(*raw)).collect::<Result<_, _>>()?;
             return Ok(());
         };
-        let slot = pdo.entries.get_mut(place).ok_or(AbortCode::NO_SUB)?;
-        let &[a, b, c, d] = data else { return Err(AbortCode::LENGTH) };
-        if !pdo.layout.entries.is_empty() {
+        let slot = entries.get_mut(place).ok_or(abort::NO_SUB)?;
+        let raw = u32::from_le_bytes(data.try_into().map_err(|_| abort::LENGTH)?);
+        if !pdo.entries.is_empty() {
             return Err(abort::NOT_ZERO);
         }
-        let raw = u32::from_le_bytes([a, b, c, d]);
         if raw != 0 {
             entry(raw)?;
         }

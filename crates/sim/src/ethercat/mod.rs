@@ -19,7 +19,7 @@
 //! | `models` | couplers and terminals as they can be bought |
 //! | `drive` | the firmware of a drive behind its slave controller: states, process data, CiA 402, modes, faults |
 //! | `objects`, `mapping` | its objects and which of them can be written; PDOs that the master maps |
-//! | `mailbox`, `transfer` | SDOs and emergencies; SDOs of more than four bytes |
+//! | `mailbox` | SDOs of four bytes and of more, emergencies |
 //! | `sync` | whether the cycle of the bus is regular enough |
 //! | `coupler` | an application: plain digital and analogue I/O |
 //! | `analogue` | an application: an analogue input terminal with a mailbox |
@@ -48,6 +48,7 @@
 mod analogue;
 mod chip;
 mod clock;
+pub mod codec;
 pub(super) mod config;
 pub mod coupler;
 pub mod drive;
@@ -68,11 +69,12 @@ mod sync;
 #[cfg(test)]
 mod testing;
 mod topology;
-mod transfer;
 
 use std::fmt::Debug;
 
 pub use self::chip::Misuse;
+pub use self::codec::registers::AlState;
+pub use self::codec::sii::Identity;
 pub use self::coupler::Coupler;
 pub use self::esc::Esc;
 pub use self::hardware::Settings;
@@ -85,7 +87,6 @@ pub use slave::{ClockKind, Left, MailboxSettings, SiiContent, SiiSettings, Slave
 pub use topology::Behind;
 
 use fieldbeat_core::time::Time;
-use fieldbeat_ethercat::wire::registers::{AlCode, AlState};
 
 /// The part of a slave's firmware behind its controller.
 pub trait Application: Debug + Send {
@@ -95,9 +96,9 @@ pub trait Application: Debug + Send {
     fn mailbox(&mut self, request: &[u8], reply: &mut Vec<u8>) -> bool;
 
     /// Whether it can enter `state`. Called when the controller has no objection; with a yes the state is entered.
-    /// The refusal [`AlCode::NONE`] means not yet: it is called again. For a state below its own the answer does
+    /// The refusal 0 means not yet: it is called again. For a state below its own the answer does
     /// not count, nor for SAFEOP when the watchdog forces it out of OP.
-    fn may_enter(&mut self, now: Time, state: AlState) -> Result<(), AlCode>;
+    fn may_enter(&mut self, now: Time, state: AlState) -> Result<(), u16>;
 
     /// Its cycle, in SAFEOP and OP: with SYNC0, or with each output if there is no SYNC0, or with each frame if
     /// there are no outputs. `outputs` is empty as long as none count: below OP, and until they have come. `inputs`
@@ -105,7 +106,7 @@ pub trait Application: Debug + Send {
     fn process(&mut self, now: Time, outputs: &[u8], inputs: &mut [u8]);
 
     /// Checks SyncManagers for so many bytes of outputs and inputs. Called on the way to SAFEOP and to OP.
-    fn check_sizes(&self, _outputs: usize, _inputs: usize) -> Result<(), AlCode> {
+    fn check_sizes(&self, _outputs: usize, _inputs: usize) -> Result<(), u16> {
         Ok(())
     }
 
@@ -116,7 +117,7 @@ pub trait Application: Debug + Send {
     }
 
     /// Why it left OP by itself, returned once: it is in SAFEOP now.
-    fn dropped(&mut self) -> Option<AlCode> {
+    fn dropped(&mut self) -> Option<u16> {
         None
     }
 

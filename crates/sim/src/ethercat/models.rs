@@ -3,10 +3,11 @@
 //!
 //! Product codes are the type number and 2C52h or 3052h. Revisions are plausible ones.
 
+use super::codec::objects::{Object, Pdo};
+use super::codec::registers::SyncManager;
+use super::codec::sii::{COE, Identity};
 use super::coupler::{Coupler, Terminals};
-use super::sii::{Contents, Mailboxes, Pdo};
-use fieldbeat_ethercat::wire::registers::SyncManager;
-use fieldbeat_ethercat::wire::sii::{Identity, Use};
+use super::sii::{Contents, Mailboxes};
 
 const BECKHOFF: u32 = 2;
 /// Where the outputs of a digital terminal are: a byte and a SyncManager for each eight.
@@ -15,8 +16,6 @@ const DIGITAL_OUTPUTS: u16 = 0x0F00;
 const DIGITAL: u8 = 0x44;
 /// Where its inputs are, with the control byte 0: buffered, read by the master.
 const DIGITAL_INPUTS: u16 = 0x1000;
-/// CoE, in the protocols of the SII.
-const COE: u16 = 1 << 2;
 
 /// A device of a simulated segment.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -127,20 +126,18 @@ impl Model {
             return analogue(contents);
         }
         let (outputs, inputs) = self.channels();
-        let manager = |start, length, control| SyncManager { start, length, control, activate: 1 };
         let mut managers: Vec<_> = (0..u16::from(outputs).div_ceil(8))
-            .map(|n| (manager(DIGITAL_OUTPUTS + n, 1, DIGITAL), Use::Outputs))
+            .map(|n| SyncManager::on(DIGITAL_OUTPUTS + n, 1, DIGITAL))
             .collect();
         if inputs > 0 {
-            managers.push((manager(DIGITAL_INPUTS, u16::from(inputs).div_ceil(8), 0), Use::Inputs));
+            managers.push(SyncManager::on(DIGITAL_INPUTS, u16::from(inputs).div_ceil(8), 0));
         }
-        let channel = |pdo, object, n: u8, manager| Pdo {
-            index: pdo + u16::from(n),
-            manager,
-            entries: vec![(object + 0x10 * u16::from(n), 1, 1)],
+        let channel = |pdo: u16, object: u16, n: u8, manager| {
+            let entries = vec![(Object::new(object + 0x10 * u16::from(n), 1), 1)];
+            (Pdo { index: pdo + u16::from(n), entries }, manager)
         };
         Contents {
-            fmmus: managers.iter().map(|(_, usage)| if *usage == Use::Outputs { 1 } else { 2 }).collect(),
+            fmmus: managers.iter().map(|manager| if manager.is_output() { 1 } else { 2 }).collect(),
             managers,
             outputs: (0..outputs).map(|n| channel(0x1600, 0x7000, n, n / 8)).collect(),
             inputs: (0..inputs).map(|n| channel(0x1A00, 0x6000, n, 0)).collect(),
@@ -152,22 +149,23 @@ impl Model {
 /// Two channels, each a status of 16 bits and a value of 16; no outputs, but a SyncManager for them. Addresses, lengths
 /// and PDOs are assumed, as analogue terminals with 16 bits of status usually have them.
 fn analogue(contents: Contents) -> Contents {
-    let manager = |start, length, control, activate| SyncManager { start, length, control, activate };
     let channel = |n: u16| {
         let (data, pdo) = (0x6000 + 0x10 * n, 2 * n);
         // Underrange, overrange, two limits, error, a gap; state and toggle of the PDO; the value.
         let status = [(1, 1), (2, 1), (3, 2), (5, 2), (7, 1)].map(|(sub, bits)| (data, sub, bits));
         let rest = [(0, 0, 7), (0x1800 + pdo, 7, 1), (0x1800 + pdo, 9, 1), (data, 0x11, 16)];
-        Pdo { index: 0x1A00 + pdo, manager: 3, entries: status.into_iter().chain(rest).collect() }
+        let entries =
+            status.into_iter().chain(rest).map(|(index, sub, bits)| (Object::new(index, sub), bits));
+        (Pdo { index: 0x1A00 + pdo, entries: entries.collect() }, 3)
     };
     Contents {
         mailboxes: Some(Mailboxes { out: (0x1000, 128), input: (0x1080, 128), protocols: COE }),
         fmmus: vec![1, 2, 3],
         managers: vec![
-            (manager(0x1000, 128, SyncManager::MAILBOX_OUT, 1), Use::MailboxOut),
-            (manager(0x1080, 128, SyncManager::MAILBOX_IN, 1), Use::MailboxIn),
-            (manager(0x1100, 0, SyncManager::OUTPUTS, 0), Use::Outputs),
-            (manager(0x1180, 8, SyncManager::INPUTS, 1), Use::Inputs),
+            SyncManager::on(0x1000, 128, SyncManager::MAILBOX_OUT),
+            SyncManager::on(0x1080, 128, SyncManager::MAILBOX_IN),
+            SyncManager { activate: 0, ..SyncManager::on(0x1100, 0, SyncManager::OUTPUTS) },
+            SyncManager::on(0x1180, 8, SyncManager::INPUTS),
         ],
         inputs: vec![channel(0), channel(1)],
         ..contents

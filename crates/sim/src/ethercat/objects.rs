@@ -2,40 +2,17 @@
 //!
 //! Knows nothing of an object's effect.
 
+use super::codec::mailbox::abort;
+use super::codec::objects::{Access, Object, Pdo, Row, Type, dictionary};
+use super::codec::registers::AlState;
 use super::settings::DriveSettings;
-use fieldbeat_ethercat::object::pdo::Layout;
-use fieldbeat_ethercat::object::{Access, Drives, Family, Known, Object, Type, catalogue};
-use fieldbeat_ethercat::wire::registers::AlState;
-use fieldbeat_ethercat::wire::sdo::AbortCode;
-
-/// Abort codes of a drive besides those that have a name everywhere (CAN manual).
-pub(super) mod abort {
-    use super::AbortCode;
-
-    pub const NOT_ZERO: AbortCode = AbortCode(0x0601_0003);
-    pub const NOT_MAPPABLE: AbortCode = AbortCode(0x0604_0041);
-    pub const MAPPED: AbortCode = AbortCode(0x0601_0006);
-    pub const INCOMPATIBLE: AbortCode = AbortCode(0x0604_0043);
-    pub const HIGH: AbortCode = AbortCode(0x0609_0031);
-    pub const LOW: AbortCode = AbortCode(0x0609_0032);
-}
-
-/// Bytes of a text: those of an expedited SDO.
-const TEXT: usize = 4;
-
-#[derive(Debug)]
-struct Row {
-    /// See [`key`]: here, so that a search stays within the rows.
-    key: u32,
-    known: &'static Known,
-    /// Of a text, its characters.
-    value: i64,
-}
 
 /// All objects of a drive, by index and subindex.
 #[derive(Debug)]
 pub(super) struct Objects {
     rows: Vec<Row>,
+    /// Their values; of a text, its characters.
+    values: Vec<i64>,
     /// The contents of its fixed PDOs, read only: each is an object with its own number (ETG.1000.6, 5.6.7.4).
     /// Masters read them to learn sizes.
     fixed: Vec<(Object, Vec<u8>)>,
@@ -46,29 +23,22 @@ pub(super) struct Objects {
 impl Objects {
     /// As delivered.
     pub(super) fn new(settings: &DriveSettings) -> Objects {
-        let has = |known: &&Known| match known.drives {
-            Drives::All => true,
-            Drives::S700 => settings.family == Family::S700,
-            Drives::Akd => settings.family == Family::Akd,
-        };
-        let rows = catalogue::all()
-            .filter(has)
-            .filter(|known| !settings.without.contains(&known.object.index))
-            .map(|known| Row { key: known.object.key(), known, value: 0 })
-            .collect();
+        let mut rows = dictionary(settings.family);
+        rows.retain(|(object, ..)| !settings.without.contains(&object.index));
         let fixed = settings.layouts.iter().flat_map(mapping).collect();
-        let mut objects = Objects { rows, fixed, read_only: settings.read_only.clone() };
+        let values = vec![0; rows.len()];
+        let mut objects = Objects { rows, values, fixed, read_only: settings.read_only.clone() };
         settings.delivered().into_iter().for_each(|(object, value)| objects.set(object, value));
         objects
     }
 
     fn find(&self, object: Object) -> Option<usize> {
-        self.rows.binary_search_by_key(&object.key(), |row| row.key).ok()
+        self.rows.binary_search_by_key(&object, |(own, ..)| *own).ok()
     }
 
     /// The value of an object; 0 if it does not exist.
     pub(super) fn get(&self, object: Object) -> i64 {
-        self.find(object).map_or(0, |place| self.rows[place].value)
+        self.find(object).map_or(0, |place| self.values[place])
     }
 
     /// It exists.
@@ -84,8 +54,7 @@ impl Objects {
     /// Sets a value that was checked, or that is the drive's own. Bits beyond its type are cut off.
     pub(super) fn set(&mut self, object: Object, value: i64) {
         if let Some(place) = self.find(object) {
-            let kind = self.rows[place].known.kind;
-            self.rows[place].value = kind.number(kind.raw(value));
+            self.values[place] = self.rows[place].1.number(value);
         }
     }
 
@@ -94,83 +63,70 @@ impl Objects {
         self.fixed.iter().find(|(own, _)| *own == object).map(|(_, bytes)| &bytes[..])
     }
 
-    /// What is known of an existing object.
-    fn known(&self, object: Object) -> Result<&'static Known, AbortCode> {
-        match self.find(object) {
-            Some(place) => Ok(self.rows[place].known),
-            None => {
-                let fixed = self.fixed.iter().map(|(own, _)| own);
-                let mut all = self.rows.iter().map(|row| &row.known.object).chain(fixed);
-                let is_there = all.any(|own| own.index == object.index);
-                Err(if is_there { AbortCode::NO_SUB } else { AbortCode::NO_OBJECT })
-            }
-        }
+    /// The row of an existing object.
+    fn row(&self, object: Object) -> Result<Row, u32> {
+        let place = self.find(object).ok_or_else(|| {
+            let fixed = self.fixed.iter().map(|(own, _)| own);
+            let mut all = self.rows.iter().map(|(own, ..)| own).chain(fixed);
+            if all.any(|own| own.index == object.index) { abort::NO_SUB } else { abort::NO_OBJECT }
+        })?;
+        Ok(self.rows[place])
     }
 
     /// Its bytes for an SDO.
-    pub(super) fn read(&self, object: Object) -> Result<Vec<u8>, AbortCode> {
+    pub(super) fn read(&self, object: Object) -> Result<Vec<u8>, u32> {
         if let Some(bytes) = self.mapping(object) {
             return Ok(bytes.to_vec());
         }
-        let known = self.known(object)?;
-        let raw = known.kind.raw(self.get(object)).to_le_bytes();
-        Ok(raw[..length(known.kind)].to_vec())
+        let (_, kind, ..) = self.row(object)?;
+        Ok(self.get(object).to_le_bytes()[..kind.bytes()].to_vec())
     }
 
     /// Its size in an SDO, bytes.
-    pub(super) fn size(&self, object: Object) -> Result<usize, AbortCode> {
-        self.known(object).map(|known| length(known.kind))
+    pub(super) fn size(&self, object: Object) -> Result<usize, u32> {
+        self.row(object).map(|(_, kind, ..)| kind.bytes())
     }
 
     /// The subindices of an object, in order.
     pub(super) fn subs(&self, index: u16) -> impl Iterator<Item = u8> {
-        self.rows
-            .iter()
-            .map(|row| row.known.object)
-            .filter(move |object| object.index == index)
-            .map(|o| o.sub)
+        self.rows.iter().filter(move |(object, ..)| object.index == index).map(|(object, ..)| object.sub)
     }
 
     /// The type of an object that may be mapped to outputs, or to inputs.
     pub(super) fn mappable(&self, object: Object, output: bool) -> Option<Type> {
-        let known = self.known(object).ok().filter(|known| !known.kind.is_string())?;
-        (!output || known.access == Access::ReadWrite).then_some(known.kind)
+        let (_, kind, access, _) = self.row(object).ok()?;
+        (kind != Type::Text && (!output || access == Access::Write)).then_some(kind)
     }
 
     /// The value that an SDO would write to it, if it may in this state.
-    pub(super) fn written(&self, object: Object, data: &[u8], state: AlState) -> Result<i64, AbortCode> {
+    pub(super) fn written(&self, object: Object, data: &[u8], state: AlState) -> Result<i64, u32> {
         if self.mapping(object).is_some() {
-            return Err(AbortCode::READ_ONLY);
+            return Err(abort::READ_ONLY);
         }
-        let known = self.known(object)?;
-        match known.access {
-            _ if self.read_only.contains(&object.index) => return Err(AbortCode::READ_ONLY),
-            Access::ReadOnly => return Err(AbortCode::READ_ONLY),
-            Access::PreOp if state != AlState::PreOp => return Err(AbortCode::STATE),
-            Access::PreOp | Access::ReadWrite => {}
+        let (_, kind, access, (low, high)) = self.row(object)?;
+        match access {
+            _ if self.read_only.contains(&object.index) => return Err(abort::READ_ONLY),
+            Access::Read => return Err(abort::READ_ONLY),
+            Access::PreOp if state != AlState::PreOp => return Err(abort::STATE),
+            Access::PreOp | Access::Write => {}
         }
-        if data.len() != length(known.kind) {
-            return Err(AbortCode::LENGTH);
+        if data.len() != kind.bytes() {
+            return Err(abort::LENGTH);
         }
-        let raw = data.iter().rev().fold(0_u64, |raw, byte| raw << 8 | u64::from(*byte));
-        match known.kind.number(raw) {
-            value if value > known.max => Err(abort::HIGH),
-            value if value < known.min => Err(abort::LOW),
+        match kind.read(data) {
+            value if value > high => Err(abort::HIGH),
+            value if value < low => Err(abort::LOW),
             value => Ok(value),
         }
     }
 }
 
 /// The objects of a fixed PDO: the number of entries, and index, subindex and bits of each.
-fn mapping(layout: &Layout) -> Vec<(Object, Vec<u8>)> {
-    let count = (Object::new(layout.pdo, 0), vec![layout.entries.len() as u8]);
-    let entries = (1..).zip(&layout.entries).map(|(sub, entry)| {
-        let [low, high] = entry.object.index.to_le_bytes();
-        (Object::new(layout.pdo, sub), vec![8 * entry.kind.bytes() as u8, entry.object.sub, low, high])
+fn mapping(pdo: &Pdo) -> Vec<(Object, Vec<u8>)> {
+    let count = (Object::new(pdo.index, 0), vec![pdo.entries.len() as u8]);
+    let entries = (1..).zip(&pdo.entries).map(|(sub, (object, bits))| {
+        let [low, high] = object.index.to_le_bytes();
+        (Object::new(pdo.index, sub), vec![*bits, object.sub, low, high])
     });
     std::iter::once(count).chain(entries).collect()
-}
-
-fn length(kind: Type) -> usize {
-    if kind == Type::Text { TEXT } else { kind.bytes() }
 }

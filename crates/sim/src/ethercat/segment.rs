@@ -1,14 +1,12 @@
 //! Slaves in order, and a frame on its way through them.
 
+use std::ops::Range;
+
 use super::chip::Passage;
+use super::codec::frame::{DATAGRAMS_MAX, PASSED, SOURCE, datagrams};
 use super::esc::Esc;
 use super::topology::{Behind, Topology, Visit};
 use fieldbeat_core::time::Time;
-use fieldbeat_ethercat::wire::frame::{DATAGRAMS_MAX, Place, datagrams};
-
-/// The first byte of a frame's source, and the bit that the first slave sets there.
-const SOURCE: usize = 6;
-const PASSED: u8 = 1 << 1;
 
 /// A segment of slaves. The master is at the first one; the last one turns the frames.
 #[derive(Debug)]
@@ -20,7 +18,7 @@ pub struct Segment {
     /// Outputs of slaves that are wired to the inputs of others: from, to.
     wires: Vec<(usize, usize)>,
     /// The offsets of the datagrams of the present frame.
-    places: Vec<Place>,
+    places: Vec<Range<usize>>,
 }
 
 impl Segment {
@@ -103,12 +101,12 @@ impl Segment {
     /// not EtherCAT stay as they are; datagrams after a broken one are not carried out.
     pub fn pass(&mut self, now: Time, frame: &mut [u8]) {
         self.sense();
-        let Ok(read) = datagrams(frame) else {
+        let Some(read) = datagrams(frame) else {
             self.advance(now);
             return;
         };
         self.places.clear();
-        self.places.extend(read.map_while(Result::ok).map(|datagram| datagram.place));
+        self.places.extend(read);
         if let Some(source) = frame.get_mut(SOURCE).filter(|_| self.topology.reaches(0)) {
             *source |= PASSED;
         }
@@ -135,11 +133,11 @@ impl Segment {
 #[cfg(test)]
 mod tests {
     use super::super::Settings;
-    use super::super::testing::Bench;
+    use super::super::codec::frame::Command::{Bwr, Frmw, Lrw};
+    use super::super::codec::registers::{AlState, address};
+    use super::super::testing::{Bench, logical};
     use crate::testing::hex;
     use fieldbeat_core::time::{MS, US};
-    use fieldbeat_ethercat::wire::frame::Command;
-    use fieldbeat_ethercat::wire::registers::{AlState, Difference, Features, address};
 
     fn pass(bench: &mut Bench, sent: &str) -> Vec<u8> {
         let mut frame = hex(sent);
@@ -150,12 +148,12 @@ mod tests {
     #[test]
     fn a_cycle_of_two_drives_passes_byte_by_byte() {
         let mut bench = Bench::drives(|settings| {
-            (settings.features, settings.clock_ns) = (Features(0x018C), 5_123_456_789);
+            (settings.features, settings.clock_ns) = (0x018C, 5_123_456_789);
         });
         bench.scripts[0].script().inputs = hex("40E20100 06FF 3706");
         bench.scripts[1].script().inputs = hex("FFFFFFFF 0000 3306");
         bench.all_to(&[AlState::SafeOp, AlState::Op]);
-        bench.send(Command::Lrw(0x1_0000), &[0; 28]);
+        bench.send(logical(Lrw, 0x1_0000), &[0; 28]);
         let back = pass(
             &mut bench,
             "FFFFFFFFFFFF 101010101010 88A4 4A10 | 0E 42 0110 1009 0880 0000 0000000000000000 0000 | 0C 43 \
@@ -211,7 +209,7 @@ mod tests {
         bench.segment.cut(Some(1));
         for _ in 0..200 {
             bench.wait(MS);
-            assert_eq!(bench.send(Command::Lrw(0x1_0000), &[7; 28]).1, 3);
+            assert_eq!(bench.send(logical(Lrw, 0x1_0000), &[7; 28]).1, 3);
         }
         let states = [0, 1].map(|n| bench.segment.slave(n).unwrap().state());
         assert_eq!(states, [AlState::Op, AlState::SafeOp]);
@@ -225,7 +223,7 @@ mod tests {
 
     /// A master's use of the receive times: the delay from one slave to the next.
     fn delays(bench: &mut Bench) -> Vec<u32> {
-        bench.send(Command::Bwr(address::DC_PORTS), &[0; 4]);
+        bench.send((Bwr, 0, address::DC_PORTS), &[0; 4]);
         let mut round = |n: u16| {
             let [a, b, c, d, e, f, g, h] = bench.read(n, address::DC_PORTS).unwrap();
             let [out, back] = [[a, b, c, d], [e, f, g, h]].map(u32::from_le_bytes);
@@ -239,7 +237,7 @@ mod tests {
     fn clocks_with_offsets_and_delays_go_together_over_the_wrap_of_one() {
         let slaves = [(0, 50.0, 0x018C), (1, -100.0, 0x018C), (2, 100.0, 0x0184), (3, 0.0, 0x018C)];
         let settings = slaves.map(|(n, drift_ppm, features)| Settings {
-            features: Features(features),
+            features: features,
             clock_ns: (1 << 32) - 700_000_000 + 1_000 * n,
             drift_ppm,
             delay_ns: 100 * (n + 1),
@@ -256,13 +254,13 @@ mod tests {
         for cycle in 0..2_000 {
             bench.wait(MS);
             // The slave with a short clock takes the lower half only.
-            bench.send(Command::Frmw(0x1001, address::DC_TIME), &[0; 8]);
+            bench.send((Frmw, 0x1001, address::DC_TIME), &[0; 8]);
             if cycle < 1_000 {
                 continue;
             }
             for n in 1..4 {
                 let difference = u32::from_le_bytes(bench.read(n, address::DC_DIFFERENCE).unwrap());
-                assert!(Difference(difference).ns().abs() <= 2, "slave {n} in cycle {cycle}");
+                assert!(difference & 0x7FFF_FFFF <= 2, "slave {n} in cycle {cycle}");
             }
         }
         let now = bench.now + US;

@@ -2,12 +2,11 @@
 
 use std::collections::BTreeMap;
 
+use super::codec::objects::{Object, Pdo, fixed_pdos, mode};
+use super::codec::sii::Identity;
 use super::slave::SlaveSettings;
 use crate::FaultPlan;
-use fieldbeat_ethercat::mode::Mode;
-use fieldbeat_ethercat::object::pdo::{self, Layout};
-use fieldbeat_ethercat::object::{Family, Object};
-use fieldbeat_ethercat::wire::sii::Identity;
+use fieldbeat_ethercat::Family;
 
 /// How a drive answers an SDO. Both are reported of real ones, and a master must read both.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -35,11 +34,8 @@ pub struct DriveSettings {
     /// Bytes of the mailbox that the master reads, of a drive that supports more than SDOs of four bytes: normal
     /// and segmented ones, and complete access. Default: 1024 of an AKD, and none of the others.
     pub long_sdos: Option<u16>,
-    /// Interval at which it sends an unrequested mailbox message, Ethernet over EtherCAT, as a real AKD does, ns.
-    /// Default: none.
-    pub unrequested_ns: Option<u64>,
     /// The PDOs that can be selected.
-    pub layouts: Vec<Layout>,
+    pub layouts: Vec<Pdo>,
     /// The PDOs selected as delivered: outputs, inputs.
     pub selected: (u16, u16),
     /// Increments per turn as a power of two, 1 ... 31. Default 20.
@@ -100,8 +96,7 @@ impl DriveSettings {
                 Family::Akd => AKD.into(),
             },
             long_sdos: (family == Family::Akd).then_some(1_024),
-            unrequested_ns: None,
-            layouts: pdo::fixed(family),
+            layouts: fixed_pdos(family),
             selected,
             prbase: 20,
             resolution_turns: 1,
@@ -140,8 +135,8 @@ impl DriveSettings {
         let (up, down) = self.ramps_rpm_s;
         let rpm = |rpm: f64| (rpm / self.rpm_per_count).round() as i64;
         let mode = match self.family {
-            Family::S700 => Mode::DIGITAL_VELOCITY,
-            Family::Akd => Mode::INTERPOLATED,
+            Family::S700 => mode::DIGITAL_VELOCITY,
+            Family::Akd => mode::INTERPOLATED,
         };
         let text = |text: [u8; 4]| i64::from(u32::from_le_bytes(text));
         [
@@ -168,7 +163,7 @@ impl DriveSettings {
             (0x1C33, 0, 2),
             (0x1C33, 1, 2),
             (0x35D5, 1, 4),
-            (0x6060, 0, mode.0.into()),
+            (0x6060, 0, mode.into()),
             (0x6065, 0, increments / 4),
             (0x6072, 0, 3_000),
             (0x607F, 0, rpm(6_000.0)),

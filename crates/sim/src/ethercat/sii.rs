@@ -1,15 +1,12 @@
 //! The EEPROM of a slave (SII): the contents of an image, and access to it by registers (ETG.1000.4, 6.4;
 //! ETG.2010).
 
+use super::codec::objects::Pdo;
+use super::codec::registers::SyncManager;
+use super::codec::sii::{COE, Identity, bit, category, check, word};
+use super::slave::{SiiContent, SiiSettings};
 use fieldbeat_core::time::Time;
-use fieldbeat_ethercat::wire::registers::SyncManager;
-use fieldbeat_ethercat::wire::sii::{Category, Identity, Status, Use, crc, word};
 
-/// Word addresses that only the slave needs.
-const ALIAS: usize = 4;
-const CHECK: usize = 7;
-const SIZE: usize = 0x3E;
-const VERSION: usize = 0x3F;
 /// In `size`: 2 KiB.
 const KIBIT_16: u16 = 15;
 
@@ -20,19 +17,8 @@ pub struct Mailboxes {
     pub out: (u16, u16),
     /// Of the one that it reads.
     pub input: (u16, u16),
-    /// The bits of [`Protocols`](fieldbeat_ethercat::wire::sii::Protocols).
+    /// AoE, EoE, CoE and so on, a bit each.
     pub protocols: u16,
-}
-
-/// A PDO.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Pdo {
-    /// Its object.
-    pub index: u16,
-    /// Its SyncManager.
-    pub manager: u8,
-    /// Index, subindex and bits of its entries.
-    pub entries: Vec<(u16, u8, u8)>,
 }
 
 /// The contents of an image.
@@ -51,29 +37,29 @@ pub struct Contents {
     /// The use of each FMMU: 1 outputs, 2 inputs, 3 the state of the mailbox.
     pub fmmus: Vec<u8>,
     /// Its SyncManagers.
-    pub managers: Vec<(SyncManager, Use)>,
-    /// Its input PDOs.
-    pub inputs: Vec<Pdo>,
+    pub managers: Vec<SyncManager>,
+    /// Its input PDOs, each with its SyncManager.
+    pub inputs: Vec<(Pdo, u8)>,
     /// Its output PDOs.
-    pub outputs: Vec<Pdo>,
+    pub outputs: Vec<(Pdo, u8)>,
 }
 
 impl Contents {
     /// The words of the image.
     pub fn image(&self) -> Vec<u16> {
-        let mut words = vec![0; usize::from(word::CATEGORIES)];
-        words[ALIAS] = self.alias;
-        words[CHECK] = config_check(&words).into();
+        let mut words = vec![0; word::CATEGORIES];
+        words[word::ALIAS] = self.alias;
+        words[word::CHECK] = check(&words);
         let Identity { vendor, product, revision } = self.identity;
         let numbers = [vendor, product, revision, self.serial];
-        for (at, number) in (usize::from(word::VENDOR)..).step_by(2).zip(numbers) {
+        for (at, number) in (word::VENDOR..).step_by(2).zip(numbers) {
             (words[at], words[at + 1]) = (number as u16, (number >> 16) as u16);
         }
         if let Some(Mailboxes { out, input, protocols }) = self.mailboxes {
-            let at = usize::from(word::MAILBOX_OUT);
-            words[at..at + 5].copy_from_slice(&[out.0, out.1, input.0, input.1, protocols]);
+            words[word::MAILBOXES..=word::PROTOCOLS]
+                .copy_from_slice(&[out.0, out.1, input.0, input.1, protocols]);
         }
-        (words[SIZE], words[VERSION]) = (KIBIT_16, 1);
+        (words[word::SIZE], words[word::VERSION]) = (KIBIT_16, 1);
         self.categories(&mut words);
         words
     }
@@ -81,41 +67,40 @@ impl Contents {
     fn categories(&self, words: &mut Vec<u16>) {
         let name = &self.name.as_bytes()[..self.name.len().min(255)];
         let strings = [&[1, name.len() as u8][..], name].concat();
-        category(words, Category::STRINGS, &strings);
-        category(words, Category::GENERAL, &self.general());
-        category(words, Category::FMMU, &self.fmmus);
+        append(words, category::STRINGS, &strings);
+        append(words, category::GENERAL, &self.general());
+        append(words, category::FMMU, &self.fmmus);
         let managers: Vec<u8> = self.managers.iter().flat_map(|manager| entry(*manager)).collect();
-        category(words, Category::SYNC_MANAGERS, &managers);
-        for (kind, pdos) in [(Category::TX_PDO, &self.inputs), (Category::RX_PDO, &self.outputs)] {
-            let bytes: Vec<u8> = pdos.iter().flat_map(Pdo::bytes).collect();
-            category(words, kind, &bytes);
+        append(words, category::SYNC_MANAGERS, &managers);
+        for (kind, pdos) in [(category::TX_PDO, &self.inputs), (category::RX_PDO, &self.outputs)] {
+            let bytes: Vec<u8> = pdos.iter().flat_map(|(pdo, manager)| pdo_entry(pdo, *manager)).collect();
+            append(words, kind, &bytes);
         }
-        words.push(0xFFFF);
+        words.push(category::END);
     }
 
     /// The name is text 1; SDOs are there if CoE is.
     fn general(&self) -> [u8; 32] {
         let mut general = [0; 32];
         general[3] = 1;
-        general[5] = u8::from(self.mailboxes.is_some_and(|mailboxes| mailboxes.protocols & 1 << 2 != 0));
+        general[5] = u8::from(self.mailboxes.is_some_and(|mailboxes| mailboxes.protocols & COE != 0));
         general
     }
 }
 
-impl Pdo {
-    fn bytes(&self) -> Vec<u8> {
-        let [low, high] = self.index.to_le_bytes();
-        let mut bytes = vec![low, high, self.entries.len() as u8, self.manager, 0, 0, 0, 0];
-        for (index, subindex, bits) in &self.entries {
-            let [low, high] = index.to_le_bytes();
-            bytes.extend([low, high, *subindex, 0, 0, *bits, 0, 0]);
-        }
-        bytes
+/// A PDO in its category.
+fn pdo_entry(pdo: &Pdo, manager: u8) -> Vec<u8> {
+    let [low, high] = pdo.index.to_le_bytes();
+    let mut bytes = vec![low, high, pdo.entries.len() as u8, manager, 0, 0, 0, 0];
+    for (object, bits) in &pdo.entries {
+        let [low, high] = object.index.to_le_bytes();
+        bytes.extend([low, high, object.sub, 0, 0, *bits, 0, 0]);
     }
+    bytes
 }
 
-/// A category, unless it is empty; its last word is filled up.
-fn category(words: &mut Vec<u16>, kind: u16, bytes: &[u8]) {
+/// Appends a category, unless it is empty; its last word is filled up.
+fn append(words: &mut Vec<u16>, kind: u16, bytes: &[u8]) {
     if bytes.is_empty() {
         return;
     }
@@ -125,61 +110,10 @@ fn category(words: &mut Vec<u16>, kind: u16, bytes: &[u8]) {
 }
 
 /// A SyncManager in its category.
-fn entry((manager, usage): (SyncManager, Use)) -> [u8; 8] {
+fn entry(manager: SyncManager) -> [u8; 8] {
     let mut entry = manager.to_bytes();
-    entry[7] = match usage {
-        Use::MailboxOut => 1,
-        Use::MailboxIn => 2,
-        Use::Outputs => 3,
-        Use::Inputs => 4,
-        Use::Other(other) => other,
-    };
+    entry[7] = manager.usage();
     entry
-}
-
-/// The checksum of the words before [`CHECK`].
-fn config_check(words: &[u16]) -> u8 {
-    let mut config = [0; 2 * CHECK];
-    for (pair, word) in config.chunks_mut(2).zip(words) {
-        pair.copy_from_slice(&word.to_le_bytes());
-    }
-    crc(&config)
-}
-
-/// Bits of control and status.
-mod bit {
-    pub const WRITES: u16 = 1 << 0;
-    pub const EMULATED: u16 = 1 << 5;
-    pub const EIGHT: u16 = 1 << 6;
-    pub const COMMAND: u16 = 7 << 8;
-    pub const CHECKSUM: u16 = 1 << 11;
-    pub const UNLOADED: u16 = 1 << 12;
-    pub const REFUSED: u16 = 1 << 13;
-    pub const PROTECTED: u16 = 1 << 14;
-    pub const BUSY: u16 = 1 << 15;
-}
-
-/// The properties of an EEPROM.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Access {
-    /// The time of each command, ns.
-    pub busy_ns: u64,
-    /// A read returns eight bytes, otherwise four.
-    pub eight: bool,
-    /// The firmware emulates it.
-    pub emulated: bool,
-    /// After power-on it is busy for so long, ns.
-    pub loading_ns: u64,
-    /// The first read returns the next word address, and the words there.
-    pub slips: bool,
-    /// Every so many reads one fails; 0: none.
-    pub fails_every: u32,
-    /// Nothing is loaded: there is no EEPROM, or it was never written.
-    pub unloaded: bool,
-    /// After power-on the processor has it.
-    pub owned_by_slave: bool,
-    /// The processor reads it on the way to PREOP.
-    pub read_in_preop: bool,
 }
 
 /// A command to be completed at its time.
@@ -195,7 +129,7 @@ struct Job {
 #[derive(Debug)]
 pub(super) struct Eeprom {
     words: Vec<u16>,
-    access: Access,
+    access: SiiSettings,
     error: u16,
     job: Option<Job>,
     data: [u8; 8],
@@ -208,7 +142,7 @@ pub(super) struct Eeprom {
 }
 
 impl Eeprom {
-    pub(super) fn new(words: Vec<u16>, access: Access) -> Eeprom {
+    pub(super) fn new(words: Vec<u16>, access: SiiSettings) -> Eeprom {
         let mut eeprom = Eeprom {
             words,
             access,
@@ -225,9 +159,9 @@ impl Eeprom {
 
     /// Checks the configuration area.
     fn load(&mut self) {
-        let is_sound = self.words.get(CHECK).is_some_and(|check| *check as u8 == config_check(&self.words));
+        let is_sound = self.words.get(word::CHECK).is_some_and(|own| *own & 0xFF == check(&self.words));
         self.error = match is_sound {
-            _ if self.access.unloaded => bit::UNLOADED,
+            _ if self.access.content == SiiContent::Unloaded => bit::UNLOADED,
             true => 0,
             false => bit::CHECKSUM,
         };
@@ -235,7 +169,7 @@ impl Eeprom {
 
     /// The alias in a valid image.
     pub(super) fn alias(&self) -> u16 {
-        if self.error & (bit::CHECKSUM | bit::UNLOADED) != 0 { 0 } else { self.word(ALIAS as u32) }
+        if self.error & (bit::CHECKSUM | bit::UNLOADED) != 0 { 0 } else { self.word(word::ALIAS as u32) }
     }
 
     /// The word there; beyond the end nothing is programmed.
@@ -256,10 +190,7 @@ impl Eeprom {
     /// Control and status.
     pub(super) fn status(&self) -> u16 {
         let flag = |is: bool, bit: u16| if is { bit } else { 0 };
-        self.error
-            | flag(self.access.emulated, bit::EMULATED)
-            | flag(self.access.eight, bit::EIGHT)
-            | self.job.map_or(0, |job| bit::BUSY | job.command)
+        self.error | flag(self.access.eight, bit::EIGHT) | self.job.map_or(0, |job| bit::BUSY | job.command)
     }
 
     /// The read data.
@@ -293,20 +224,19 @@ impl Eeprom {
             self.job = Some(Job { done_at: now + loading_ns, command: 0, address: 0, word: 0 });
         }
         let Some(job) = self.job.take_if(|job| now >= job.done_at) else { return false };
-        self.reads += u32::from(job.command == Status::READ);
-        let Access { fails_every, unloaded, .. } = self.access;
+        self.reads += u32::from(job.command == bit::READ);
+        let SiiSettings { fails_every, content, .. } = self.access;
+        let fails = fails_every > 0 && self.reads.is_multiple_of(fails_every);
         match job.command {
-            Status::IDLE => {}
-            Status::READ if unloaded || fails_every > 0 && self.reads.is_multiple_of(fails_every) => {
-                self.fail()
-            }
-            Status::READ if self.access.slips => {
+            0 => {}
+            bit::READ if fails || content == SiiContent::Unloaded => self.fail(),
+            bit::READ if self.access.slips => {
                 self.access.slips = false;
                 self.slipped = Some(job.address.wrapping_add(1));
                 self.read(job.address.wrapping_add(1));
             }
-            Status::READ => self.read(job.address),
-            0x0200 => {
+            bit::READ => self.read(job.address),
+            bit::WRITE => {
                 let at = usize::try_from(job.address).ok();
                 match at.and_then(|at| self.words.get_mut(at)) {
                     Some(word) => *word = job.word,
@@ -335,12 +265,13 @@ impl Eeprom {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use fieldbeat_ethercat::wire::sii::sync_manager;
+    use crate::ethercat::codec::objects::Object;
 
     const T: Time = Time(5);
 
     /// A drive of the sheet's.
     fn contents() -> Contents {
+        let entries = vec![(Object::new(0x6064, 0), 32), (Object::new(0x6041, 0), 16)];
         Contents {
             name: "S700",
             identity: Identity { vendor: 0x6A, product: 0x0300_0600, revision: 2 },
@@ -348,17 +279,14 @@ mod tests {
             alias: 7,
             mailboxes: Some(Mailboxes { out: (0x1800, 0x400), input: (0x1C00, 0x400), protocols: 4 }),
             fmmus: vec![1, 2, 3],
-            managers: vec![
-                (SyncManager::new([0x00, 0x18, 0x00, 0x04, 0x26, 0, 1, 0]), Use::MailboxOut),
-                (SyncManager::new([0x00, 0x1C, 0x00, 0x04, 0x22, 0, 1, 0]), Use::MailboxIn),
-            ],
-            inputs: vec![Pdo { index: 0x1B03, manager: 3, entries: vec![(0x6064, 0, 32), (0x6041, 0, 16)] }],
+            managers: vec![SyncManager::on(0x1800, 0x400, 0x26), SyncManager::on(0x1C00, 0x400, 0x22)],
+            inputs: vec![(Pdo { index: 0x1B03, entries }, 3)],
             outputs: Vec::new(),
         }
     }
 
     fn read(eeprom: &mut Eeprom, address: u32) -> [u8; 8] {
-        eeprom.command(T, Status::READ, address, 0);
+        eeprom.command(T, bit::READ, address, 0);
         eeprom.data()
     }
 
@@ -368,41 +296,41 @@ mod tests {
         let bytes = |at: usize, count: usize| -> Vec<u8> {
             words[at..at + count].iter().flat_map(|word| word.to_le_bytes()).collect()
         };
-        let mut at = usize::from(word::CATEGORIES);
+        let mut at = word::CATEGORIES;
         let mut found = Vec::new();
         while words[at] != 0xFFFF {
-            let category = Category::new(bytes(at, 2).try_into().unwrap()).unwrap();
-            found.push((category.kind, bytes(at + 2, category.words.into())));
-            at += 2 + usize::from(category.words);
+            let length = usize::from(words[at + 1]);
+            found.push((words[at], bytes(at + 2, length)));
+            at += 2 + length;
         }
         let kinds: Vec<u16> = found.iter().map(|(kind, _)| *kind).collect();
         assert_eq!(kinds, [10, 30, 40, 41, 50]);
         assert_eq!(found[0].1, [1, 4, b'S', b'7', b'0', b'0']);
         assert_eq!(found[2].1, [1, 2, 3, 0]);
         assert_eq!(found[3].1[..8], [0x00, 0x18, 0x00, 0x04, 0x26, 0, 1, 1]);
-        let (_, usage) = sync_manager(found[3].1[8..16].try_into().unwrap());
-        assert_eq!(usage, Use::MailboxIn);
+        assert_eq!(found[3].1[15], 2);
         assert_eq!(found[4].1[..16], [0x03, 0x1B, 2, 3, 0, 0, 0, 0, 0x64, 0x60, 0, 0, 0, 32, 0, 0]);
     }
 
     #[test]
     fn a_write_needs_its_enable_bit_and_a_reload_makes_it_count() {
-        let mut eeprom = Eeprom::new(contents().image(), Access::default());
-        eeprom.command(T, 0x0200, ALIAS as u32, 9);
+        let mut eeprom =
+            Eeprom::new(contents().image(), SiiSettings { busy_ns: 0, ..SiiSettings::default() });
+        eeprom.command(T, 0x0200, word::ALIAS as u32, 9);
         assert_eq!(eeprom.status(), 0x4000);
-        eeprom.command(T, Status::IDLE, 0, 0);
+        eeprom.command(T, 0, 0, 0);
         assert_eq!(eeprom.status(), 0);
-        eeprom.command(T, 0x0201, ALIAS as u32, 9);
+        eeprom.command(T, 0x0201, word::ALIAS as u32, 9);
         assert_eq!((eeprom.status(), eeprom.alias()), (0, 9));
         // The check is that of the old alias.
         eeprom.command(T, 0x0300, 0, 0);
-        assert_eq!((Status(eeprom.status()).error(), eeprom.alias()), (true, 0));
-        assert_eq!(eeprom.take_words()[ALIAS], 9);
+        assert_eq!((eeprom.status(), eeprom.alias()), (bit::CHECKSUM, 0));
+        assert_eq!(eeprom.take_words()[word::ALIAS], 9);
     }
 
     #[test]
     fn what_is_not_there_is_said() {
-        let mut blank = Eeprom::new(Vec::new(), Access::default());
+        let mut blank = Eeprom::new(Vec::new(), SiiSettings { busy_ns: 0, ..SiiSettings::default() });
         assert_eq!((blank.status(), blank.alias()), (0x0800, 0));
         assert_eq!(read(&mut blank, u32::MAX), [0xFF, 0xFF, 0xFF, 0xFF, 0, 0, 0, 0]);
         blank.command(T, 0x0201, 3, 1);

@@ -1,24 +1,24 @@
 //! The segment of a plan, simulated: its slaves, and the content of their EEPROMs.
 
 use super::analogue::Analogue;
+use super::codec::frame::ETHERTYPE;
+use super::codec::mailbox::SDO_SIZE;
+use super::codec::objects::{Object, Pdo};
+use super::codec::registers::{AlState, Fmmu, SyncManager};
+use super::codec::sii::{COE, Identity};
 use super::coupler::Terminals;
-use super::sii::{Access, Contents, Mailboxes, Pdo};
+use super::sii::{Contents, Mailboxes};
 use super::topology::Topology;
 use super::{
     Application, ClockKind, Coupler, Drive, DriveSettings, Esc, Left, Model, Segment, SegmentSettings,
-    Settings, SiiContent, SiiSettings, SlaveSettings,
+    Settings, SlaveSettings,
 };
 use crate::{FaultPlan, SimBus, SimSegment, Simulated};
 use fieldbeat_core::axis::PlanFault;
 use fieldbeat_core::time::{MS, Time, US};
-use fieldbeat_ethercat::object::Family;
-use fieldbeat_ethercat::object::pdo::Layout;
-use fieldbeat_ethercat::wire::frame::ETHERTYPE;
-use fieldbeat_ethercat::wire::mailbox::SDO_SIZE;
-use fieldbeat_ethercat::wire::registers::{AlState, AlStatus, Features, Fmmu, SyncManager};
-use fieldbeat_ethercat::wire::sii::{Identity, Use};
 use fieldbeat_ethercat::{
-    Area, Device, EthercatPlan, Expected, KollmorgenDrive, Mapping, Owner, SlavePlan, is_interface,
+    Area, Device, EthercatPlan, Expected, Family, KollmorgenDrive, Layout, Mapping, Owner, SlavePlan,
+    is_interface,
 };
 
 /// The Ethertype of a frame, and the index of its first datagram.
@@ -30,8 +30,6 @@ const DATA: usize = 26;
 const REACTION_NS: u64 = 250 * US;
 /// The clocks of neighbouring slaves were switched on so far apart.
 const CLOCKS_APART_NS: u64 = 617 * MS + 1_234;
-/// CoE, in the protocols of the SII.
-const COE: u16 = 1 << 2;
 /// The use of the FMMUs: outputs, inputs, the state of the mailbox.
 const FMMUS: [u8; 3] = [1, 2, 3];
 /// The name of every slave that is not a drive.
@@ -305,35 +303,15 @@ fn hardware(segment: &SegmentSettings, slave: &SlavePlan, contents: &Contents, p
     let usual = Settings::default();
     let fmmus = own.fmmus.or(segment.fmmus.get(place).or(segment.fmmus.last()).copied());
     let emulated = own.emulated.unwrap_or(own.model.map_or(plain, Model::is_emulated));
-    let SiiSettings {
-        owned_by_slave,
-        read_in_preop,
-        eight,
-        busy_ns,
-        loading_ns,
-        slips,
-        fails_every,
-        content,
-    } = own.sii;
     Settings {
-        features: Features(features),
+        features,
         receive_times: own.clock != Some(ClockKind::None),
         fmmus: fmmus.unwrap_or(usual.fmmus),
         ports: own.model.map_or(usual.ports, Model::ports),
         device_id: segment.device_ids.then_some(slave.place),
         identification: own.identification.or(slave.identity.identification),
-        sii: content.of(contents.image()),
-        sii_access: Access {
-            busy_ns,
-            eight,
-            loading_ns,
-            slips,
-            fails_every,
-            unloaded: content == SiiContent::Unloaded,
-            owned_by_slave,
-            read_in_preop,
-            ..Access::default()
-        },
+        sii: own.sii.content.of(contents.image()),
+        sii_access: own.sii,
         clock_ns: (place as u64 + 1) * CLOCKS_APART_NS,
         drift_ppm,
         settling: segment.settling,
@@ -369,8 +347,8 @@ fn drive(plan: &KollmorgenDrive, settings: &DriveSettings, segment: &SegmentSett
         mailboxes: plan.slave.mailbox.map(mailboxes),
         fmmus: FMMUS.to_vec(),
         managers: managers(&plan.slave, segment.slaves.get(&plan.slave.place), outputs),
-        inputs: vec![pdo(&plan.inputs, 3)],
-        outputs: vec![pdo(&plan.outputs, 2)],
+        inputs: vec![(pdo(&plan.inputs), 3)],
+        outputs: vec![(pdo(&plan.outputs), 2)],
     };
     let is_running = settings.running_rpm.is_some();
     let hardware = hardware(segment, &plan.slave, &contents, false);
@@ -380,9 +358,9 @@ fn drive(plan: &KollmorgenDrive, settings: &DriveSettings, segment: &SegmentSett
     if is_running && let Some(cycle_ns) = cycle_ns {
         let Area { start, length } = plan.slave.outputs.first().copied().unwrap_or_default();
         esc.leave(&Left {
-            al: (AlStatus::request(AlState::Op).0, 0),
-            managers: contents.managers.iter().map(|(manager, _)| manager.unwatched().to_bytes()).collect(),
-            fmmus: vec![Fmmu::bytes(logical, length, start, true).to_bytes()],
+            al: (AlState::Op as u16, 0),
+            managers: contents.managers.iter().map(|manager| unwatched(*manager).to_bytes()).collect(),
+            fmmus: vec![Fmmu::bytes(logical, length, start, Fmmu::WRITE).to_bytes()],
             unwatched: true,
             sync0_ns: u32::try_from(cycle_ns).ok(),
             ..Left::default()
@@ -403,8 +381,8 @@ fn drive_settings(plan: &KollmorgenDrive, mut settings: DriveSettings) -> DriveS
     }
     if plan.mapping != Mapping::Free {
         for layout in [&plan.outputs, &plan.inputs] {
-            settings.layouts.retain(|own| own.pdo != layout.pdo);
-            settings.layouts.push(layout.clone());
+            settings.layouts.retain(|own| own.index != layout.pdo);
+            settings.layouts.push(pdo(layout));
         }
     }
     if plan.mapping == Mapping::AsIs || settings.running_rpm.is_some() {
@@ -428,7 +406,11 @@ fn device(plan: &Device, coupler: Coupler, segment: &SegmentSettings) -> Esc {
             contents.mailboxes = slave.mailbox.map(mailboxes);
             if slave.mailbox.is_some() {
                 // Theirs are the first two.
-                contents.inputs.iter_mut().chain(&mut contents.outputs).for_each(|pdo| pdo.manager += 2);
+                contents
+                    .inputs
+                    .iter_mut()
+                    .chain(&mut contents.outputs)
+                    .for_each(|(_, manager)| *manager += 2);
             }
             (contents, Box::new(coupler))
         }
@@ -463,35 +445,32 @@ fn mailboxes([out, input]: [Area; 2]) -> Mailboxes {
 
 /// Its SyncManagers: mailboxes first, then process data; that of its outputs with the control byte `usual`, if nothing
 /// else is set. Without mailboxes one for missing process data is left out.
-fn managers(slave: &SlavePlan, own: Option<&SlaveSettings>, usual: u8) -> Vec<(SyncManager, Use)> {
+fn managers(slave: &SlavePlan, own: Option<&SlaveSettings>, usual: u8) -> Vec<SyncManager> {
     let output_control = own.and_then(|own| own.output_control).unwrap_or(usual);
-    let manager = |area: Area, control, usage| {
-        (SyncManager { start: area.start, length: area.length, control, activate: 1 }, usage)
-    };
+    let manager = |area: Area, control| SyncManager::on(area.start, area.length, control);
     let mailboxes = slave.mailbox.into_iter().flat_map(|[out, input]| {
-        [
-            manager(out, SyncManager::MAILBOX_OUT, Use::MailboxOut),
-            manager(input, SyncManager::MAILBOX_IN, Use::MailboxIn),
-        ]
+        [manager(out, SyncManager::MAILBOX_OUT), manager(input, SyncManager::MAILBOX_IN)]
     });
     let all = |areas: &[Area]| match areas {
         [] if slave.mailbox.is_some() => vec![Area::default()],
         areas => areas.to_vec(),
     };
-    let process = [
-        (all(&slave.outputs), output_control, Use::Outputs),
-        (all(&slave.inputs), SyncManager::INPUTS, Use::Inputs),
-    ];
-    let each = |(areas, control, usage): (Vec<Area>, u8, Use)| {
-        areas.into_iter().map(move |area| manager(area, control, usage))
-    };
+    let process = [(all(&slave.outputs), output_control), (all(&slave.inputs), SyncManager::INPUTS)];
+    let each = |(areas, control): (Vec<Area>, u8)| areas.into_iter().map(move |area| manager(area, control));
     mailboxes.chain(process.into_iter().flat_map(each)).collect()
 }
 
-fn pdo(layout: &Layout, manager: u8) -> Pdo {
+/// The PDO that a plan describes.
+fn pdo(layout: &Layout) -> Pdo {
     let entries = layout.entries.iter();
-    let entry = entries.map(|entry| (entry.object.index, entry.object.sub, 8 * entry.kind.bytes() as u8));
-    Pdo { index: layout.pdo, manager, entries: entry.collect() }
+    let entry = entries
+        .map(|entry| (Object::new(entry.object.index, entry.object.sub), 8 * entry.kind.bytes() as u8));
+    Pdo { index: layout.pdo, entries: entry.collect() }
+}
+
+/// The same SyncManager, without the watchdog.
+fn unwatched(manager: SyncManager) -> SyncManager {
+    SyncManager { control: manager.control & !SyncManager::WATCHDOG, ..manager }
 }
 
 /// Terminals for so many bytes: digital ones as far as there can be so many.

@@ -1,8 +1,8 @@
 //! What sets one slave of a simulated segment apart from the others.
 
+use super::codec::registers::{Fmmu, SyncManager};
 use super::models::Model;
 use super::topology::Behind;
-use fieldbeat_ethercat::wire::registers::{Fmmu, SyncManager};
 
 /// Where most masters begin with station addresses.
 const FIRST_STATION: u16 = 0x1001;
@@ -54,7 +54,7 @@ pub enum ClockKind {
 }
 
 /// The SII of a slave: who has it, and how well it can be read.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SiiSettings {
     /// After power-on its processor has it: a master has to take it by force.
     pub owned_by_slave: bool,
@@ -70,6 +70,8 @@ pub struct SiiSettings {
     pub slips: bool,
     /// Every so many reads one fails, and shows that until it is acknowledged. Default 0: none.
     pub fails_every: u32,
+    /// The firmware emulates it, and its status shows that, as that of an AKD does.
+    pub emulated: bool,
     /// What is in it.
     pub content: SiiContent,
 }
@@ -84,6 +86,7 @@ impl Default for SiiSettings {
             loading_ns: 0,
             slips: false,
             fails_every: 0,
+            emulated: false,
             content: SiiContent::default(),
         }
     }
@@ -171,7 +174,7 @@ impl Left {
     /// address of its neighbour, an FMMU in the way of others', SYNC0 that goes on, and its SII given away
     /// after a command that failed.
     pub fn by_another(place: u16, al: (u16, u16)) -> Left {
-        let stray = Fmmu::bytes(0x0001_0000, 16, 0x1000, false);
+        let stray = Fmmu::bytes(0x0001_0000, 16, 0x1000, Fmmu::READ);
         Left {
             station: FIRST_STATION.wrapping_add(place + 1),
             al,

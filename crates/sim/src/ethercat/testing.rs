@@ -2,19 +2,19 @@
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
+use super::codec::frame::Command::{self, Apwr, Fprd, Fpwr, Nop};
+use super::codec::registers::{AlState, Fmmu, SyncManager, address, al, code};
 use super::sii::{Contents, Mailboxes};
 use super::{Application, Esc, Segment, Settings};
 use fieldbeat_core::time::{MS, S, Time};
-use fieldbeat_ethercat::wire::frame::{BROADCAST, Builder, Command, FRAME_MAX, datagrams, position};
-use fieldbeat_ethercat::wire::registers::{AlCode, AlState, AlStatus, Fmmu, SyncManager, address};
 
 /// The behaviour of an application, and its calls.
 #[derive(Debug, Default)]
 pub(super) struct Script {
     pub(super) sizes: Option<(usize, usize)>,
     pub(super) inputs: Vec<u8>,
-    pub(super) refuses: Option<(AlState, AlCode)>,
-    pub(super) drops: Option<AlCode>,
+    pub(super) refuses: Option<(AlState, u16)>,
+    pub(super) drops: Option<u16>,
     pub(super) messages: Vec<Vec<u8>>,
     pub(super) requested: Vec<AlState>,
     pub(super) requests: Vec<Vec<u8>>,
@@ -41,7 +41,7 @@ impl Application for Scripted {
         true
     }
 
-    fn may_enter(&mut self, _now: Time, state: AlState) -> Result<(), AlCode> {
+    fn may_enter(&mut self, _now: Time, state: AlState) -> Result<(), u16> {
         let mut script = self.script();
         script.requested.push(state);
         script.refuses.filter(|(refused, _)| *refused == state).map_or(Ok(()), |(_, code)| Err(code))
@@ -55,10 +55,10 @@ impl Application for Scripted {
         }
     }
 
-    fn check_sizes(&self, outputs: usize, inputs: usize) -> Result<(), AlCode> {
+    fn check_sizes(&self, outputs: usize, inputs: usize) -> Result<(), u16> {
         match self.script().sizes {
-            Some(sizes) if sizes.0 != outputs => Err(AlCode(0x001D)),
-            Some(sizes) if sizes.1 != inputs => Err(AlCode(0x001E)),
+            Some(sizes) if sizes.0 != outputs => Err(0x001D),
+            Some(sizes) if sizes.1 != inputs => Err(0x001E),
             _ => Ok(()),
         }
     }
@@ -68,7 +68,7 @@ impl Application for Scripted {
         next.map(|next| message.extend(next)).is_some()
     }
 
-    fn dropped(&mut self) -> Option<AlCode> {
+    fn dropped(&mut self) -> Option<u16> {
         self.script().drops.take()
     }
 }
@@ -78,6 +78,11 @@ pub(super) fn with_mailbox() -> Settings {
     let mailboxes = Mailboxes { out: (0x1800, 0x400), input: (0x1C00, 0x400), protocols: 4 };
     let contents = Contents { alias: 0x77, mailboxes: Some(mailboxes), ..Contents::default() };
     Settings { sii: contents.image(), ..Settings::default() }
+}
+
+/// The address of a logical command.
+pub(super) fn logical(command: Command, address: u32) -> (Command, u16, u16) {
+    (command, address as u16, (address >> 16) as u16)
 }
 
 /// A segment, and a master's time.
@@ -99,7 +104,7 @@ impl Bench {
         let mut bench = Bench::left(segment);
         for n in 0..count {
             let station = (0x1001 + n).to_le_bytes();
-            assert_eq!(bench.send(Command::Apwr(position(n), address::STATION), &station).1, 1);
+            assert_eq!(bench.send((Apwr, n.wrapping_neg(), address::STATION), &station).1, 1);
         }
         bench
     }
@@ -141,8 +146,8 @@ impl Bench {
             self.manage(n, manager, &bytes);
         }
         let (own, at) = (u32::from(n), 0x1_0000);
-        let outputs = Fmmu::bytes(at + 6 * own, outputs, 0x1100, true);
-        let inputs = Fmmu::bytes(at + 12 + 8 * own, inputs, 0x1140, false);
+        let outputs = Fmmu::bytes(at + 6 * own, outputs, 0x1100, Fmmu::WRITE);
+        let inputs = Fmmu::bytes(at + 12 + 8 * own, inputs, 0x1140, Fmmu::READ);
         assert_eq!(self.write(n, address::fmmu(0), &outputs.to_bytes()), 1);
         assert_eq!(self.write(n, address::fmmu(1), &inputs.to_bytes()), 1);
     }
@@ -153,51 +158,51 @@ impl Bench {
         assert_eq!(self.write(n, address::sync_manager(manager), bytes), 1);
     }
 
-    /// A frame with this one datagram: its data and its working counter as they come back.
-    pub(super) fn send(&mut self, command: Command, data: &[u8]) -> (Vec<u8>, u16) {
-        let (data, count, _) = self.send_whole(command, data);
+    /// A frame with one datagram, by its command and both halves of its address: its data and its working counter as
+    /// they come back.
+    pub(super) fn send(&mut self, to: (Command, u16, u16), data: &[u8]) -> (Vec<u8>, u16) {
+        let (data, count, _) = self.send_whole(to, data);
         (data, count)
     }
 
-    /// The same, with the address as it comes back.
-    pub(super) fn send_whole(&mut self, command: Command, data: &[u8]) -> (Vec<u8>, u16, u32) {
-        let mut frame = [0; FRAME_MAX];
-        let mut builder = Builder::new(&mut frame, BROADCAST, [0x10; 6]).unwrap();
-        builder.push_with(command, 7, data).unwrap();
-        let length = builder.finish();
-        self.segment.pass(self.now, &mut frame[..length]);
-        let back = datagrams(&frame[..length]).unwrap().next().unwrap().unwrap();
-        (back.data.to_vec(), back.working_counter, back.address)
+    /// The same, with the first half of the address as it comes back.
+    pub(super) fn send_whole(&mut self, to: (Command, u16, u16), data: &[u8]) -> (Vec<u8>, u16, u16) {
+        let (length, end) = (data.len() as u16, 26 + data.len());
+        let [header, a, b, l] = [0x1000 | 12 + length, to.1, to.2, length].map(u16::to_le_bytes);
+        let mut frame = [&[0xFF; 6][..], &[0x10; 6], &[0x88, 0xA4], &header, &[to.0 as u8, 7]].concat();
+        frame.extend([&a[..], &b, &l, &[0; 2], data, &[0; 2]].concat());
+        self.segment.pass(self.now, &mut frame);
+        let word = |at: usize| u16::from_le_bytes([frame[at], frame[at + 1]]);
+        (frame[26..end].to_vec(), word(end), word(18))
     }
 
     pub(super) fn write(&mut self, n: u16, at: u16, data: &[u8]) -> u16 {
-        self.send(Command::Fpwr(0x1001 + n, at), data).1
+        self.send((Fpwr, 0x1001 + n, at), data).1
     }
 
     /// `None`: not read.
     pub(super) fn read<const N: usize>(&mut self, n: u16, at: u16) -> Option<[u8; N]> {
-        let (data, count) = self.send(Command::Fprd(0x1001 + n, at), &[0; N]);
+        let (data, count) = self.send((Fprd, 0x1001 + n, at), &[0; N]);
         (count == 1).then(|| data.try_into().unwrap())
     }
 
     /// Requests a state, and returns the resulting one.
-    pub(super) fn go(&mut self, n: u16, state: AlState) -> (AlState, Option<AlCode>) {
-        self.control(n, AlStatus::request(state));
+    pub(super) fn go(&mut self, n: u16, state: AlState) -> (AlState, Option<u16>) {
+        self.control(n, state as u16);
         self.state(n)
     }
 
     /// Writes AL control.
-    pub(super) fn control(&mut self, n: u16, request: AlStatus) {
-        assert_eq!(self.write(n, address::AL_CONTROL, &request.0.to_le_bytes()), 1);
+    pub(super) fn control(&mut self, n: u16, request: u16) {
+        assert_eq!(self.write(n, address::AL_CONTROL, &request.to_le_bytes()), 1);
     }
 
     /// The state as the registers show it.
-    pub(super) fn state(&mut self, n: u16) -> (AlState, Option<AlCode>) {
+    pub(super) fn state(&mut self, n: u16) -> (AlState, Option<u16>) {
         let [status, _, _, _, low, high] = self.read(n, address::AL_STATUS).unwrap();
-        let status = AlStatus(status.into());
-        let code = AlCode(u16::from_le_bytes([low, high]));
-        assert_eq!(status.error(), code != AlCode::NONE);
-        (status.state().unwrap(), status.error().then_some(code))
+        let (status, code) = (u16::from(status), u16::from_le_bytes([low, high]));
+        assert_eq!(status & al::ERROR != 0, code != code::NONE);
+        (AlState::of(status).unwrap(), (code != code::NONE).then_some(code))
     }
 
     /// Both drives go to these states, the last one.
@@ -217,7 +222,7 @@ impl Bench {
     pub(super) fn idle(&mut self, ms: u64) {
         for _ in 0..ms {
             self.wait(MS);
-            self.send(Command::Nop, &[]);
+            self.send((Nop, 0, 0), &[]);
         }
     }
 }

@@ -259,7 +259,7 @@ impl Subject for EtherCat {
     fn provoke(&self, line: &mut dyn SimSegment, place: usize) {
         let line: &mut dyn Any = line;
         let drive = line.downcast_mut::<EthercatSim>().and_then(|line| line.drive(place));
-        drive.expect("a drive").provoke(Fault::FOLLOWING);
+        drive.expect("a drive").provoke(Fault::FOLLOWING.code);
     }
 
     fn calls(&self) -> Calls {

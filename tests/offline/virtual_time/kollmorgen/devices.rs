@@ -120,7 +120,7 @@ fn the_objects_of_a_device_with_a_mailbox_are_read_and_written() {
     assert_eq!(ask(notation.write("0x6081:0", 4_321).unwrap()), Ok(4_321));
     assert_eq!(ask(notation.read("0x6081:0").unwrap()), Ok(4_321));
     assert_eq!(io.emergency(), None);
-    machine.drive(1, |drive| drive.provoke(Fault::OVERVOLTAGE));
+    machine.drive(1, |drive| drive.provoke(Fault::OVERVOLTAGE.code));
     machine.run(100);
     assert_eq!(io.emergency(), Some(Emergency { code: 0x3110, register: 4 }));
     assert_eq!(io.emergency(), None);
@@ -132,7 +132,7 @@ fn the_objects_of_a_device_with_a_mailbox_are_read_and_written() {
     // Of forty that nobody takes the application gets as many as there is room for; the others count. Each fault comes,
     // and goes by the control word.
     for _ in 0..20 {
-        machine.drive(1, |drive| drive.provoke(Fault::OVERVOLTAGE));
+        machine.drive(1, |drive| drive.provoke(Fault::OVERVOLTAGE.code));
         for control in [0, 0x80] {
             machine.run(60);
             io.write(&[0, 0, 0, 0, control, 0]).unwrap();

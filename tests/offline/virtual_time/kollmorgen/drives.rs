@@ -6,7 +6,7 @@ use fieldbeat::sim::ethercat::EthercatSim;
 use fieldbeat::sim::{FaultPlan, Simulated};
 use fieldbeat::time::MS;
 use fieldbeat_ethercat::faults::Fault;
-use fieldbeat_ethercat::wire::registers::AlState;
+use fieldbeat_sim::ethercat::AlState;
 
 use super::{LINE, Machine, drive, jog, plan, with};
 
@@ -55,7 +55,7 @@ fn pdos_are_mapped_freely_and_an_akd_takes_torques_by_one() {
     machine.assert_turns(0, 3.0);
     let feedback = machine.feedback(1);
     assert!(feedback.status.velocity < -1.0 && (feedback.status.current + 0.3).abs() < 0.02, "{feedback:?}");
-    machine.drive(1, |drive| drive.provoke(Fault::AMBIENT));
+    machine.drive(1, |drive| drive.provoke(Fault::AMBIENT.code));
     machine.run(20);
     assert_eq!(machine.feedback(1).status.fault, 0x4110, "by 603Fh");
 }
@@ -77,7 +77,7 @@ fn emergencies(machine: &mut Machine) -> Vec<(usize, Emergency)> {
 fn an_emergency_is_an_event_with_code_and_register_and_so_is_its_end() {
     let mut machine = Machine::enabled(plan(2));
     assert_eq!(emergencies(&mut machine), []);
-    machine.drive(1, |drive| drive.provoke(Fault::MOTOR_TEMPERATURE));
+    machine.drive(1, |drive| drive.provoke(Fault::MOTOR_TEMPERATURE.code));
     machine.run(100);
     let reported = Emergency { code: 0x4310, register: 8 };
     assert_eq!(emergencies(&mut machine), [(1, reported)]);
@@ -98,7 +98,7 @@ fn an_emergency_before_the_first_exchange_is_an_event_too() {
     machine.until("PREOP", 2_000, |machine| {
         machine.look(|line| line.slave(0).unwrap().state() == AlState::PreOp)
     });
-    machine.drive(0, |drive| drive.provoke(Fault::OVERVOLTAGE));
+    machine.drive(0, |drive| drive.provoke(Fault::OVERVOLTAGE.code));
     let mut reported = Vec::new();
     for _ in 0..500 {
         machine.run(1);

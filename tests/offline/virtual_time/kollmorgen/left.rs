@@ -7,7 +7,8 @@ use fieldbeat::sim::ethercat::{EthercatSegment, EthercatSim};
 use fieldbeat::sim::{SimSegment, WorldOptions};
 use fieldbeat::time::{MS, S, Time, US};
 use fieldbeat_ethercat::wire::frame::{Command, position};
-use fieldbeat_ethercat::wire::registers::{AlState, Fmmu, address};
+use fieldbeat_ethercat::wire::registers::{Fmmu, address};
+use fieldbeat_sim::ethercat::AlState;
 
 use super::drives::left;
 use super::{LINE, Machine, UP, drive, jog, pass};

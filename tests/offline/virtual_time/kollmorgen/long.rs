@@ -4,7 +4,7 @@ use fieldbeat::axis::{Command, Link};
 use fieldbeat::bus::ethercat::{EthercatPlan, Family};
 use fieldbeat::sim::ethercat::{EthercatSegment, MailboxSettings, SiiSettings, SlaveSettings};
 use fieldbeat::time::MS;
-use fieldbeat_ethercat::wire::registers::AlState;
+use fieldbeat_sim::ethercat::AlState;
 
 use super::{LINE, Machine, jog, plan, with};
 

@@ -745,7 +745,7 @@ impl Machine {
             // Its phase current is too large.
             None if let Some(wire) = &self.held.wire => wire.drives[index].lock().drive.provoke(0x2310),
             None => {
-                let fault = fieldbeat_ethercat::faults::Fault::FOLLOWING;
+                let fault = fieldbeat_ethercat::faults::Fault::FOLLOWING.code;
                 self.at_line(|line| line.drive(index).expect("there is a drive").provoke(fault));
             }
         }
@@ -756,7 +756,7 @@ impl Machine {
         match self.held.taps.get(index) {
             Some(tap) if let Drive::Unidrive(drive) = &mut tap.lock().drive => drive.provoke(252),
             None if self.held.wire.is_none() => {
-                let fault = fieldbeat_ethercat::faults::Fault::SYNCHRONISATION;
+                let fault = fieldbeat_ethercat::faults::Fault::SYNCHRONISATION.code;
                 self.at_line(|line| line.drive(index).expect("there is a drive").provoke(fault));
             }
             _ => self.provoke(index),

@@ -3,8 +3,8 @@
 use super::refused::Unwilling;
 use super::*;
 use fieldbeat_ethercat::plan::Watchdog;
-use fieldbeat_ethercat::wire::registers::{AlCode, SyncManager};
-use fieldbeat_ethercat::wire::sii::Use;
+use fieldbeat_ethercat::wire::registers::AlCode;
+use fieldbeat_sim::ethercat::codec::registers::SyncManager;
 
 /// At power-on: 100 ms.
 const DELIVERED: u16 = 1_000;
@@ -17,16 +17,13 @@ fn rig(control: Option<u8>, watchdog: Watchdog, check_sii: bool, code: AlCode) -
     let slave = &mut plan.devices[0].slave;
     (slave.watchdog, slave.check_sii) = (watchdog, check_sii);
     slave.mailbox = control.map(|_| [area(0x1800, 128), area(0x1900, 128)]);
-    let manager =
-        |(start, length, control, usage)| (SyncManager { start, length, control, activate: 1 }, usage);
     let managers = control.map(|control| {
         [
-            (0x1800, 128, 0x36, Use::MailboxOut),
-            (0x1900, 128, 0x32, Use::MailboxIn),
-            (0x1000, 1, control, Use::Outputs),
-            (0x1100, 1, 0x20, Use::Inputs),
+            SyncManager::on(0x1800, 128, 0x36),
+            SyncManager::on(0x1900, 128, 0x32),
+            SyncManager::on(0x1000, 1, control),
+            SyncManager::on(0x1100, 1, 0x20),
         ]
-        .map(manager)
     });
     let mailboxes = ethercat::sii::Mailboxes { out: (0x1800, 128), input: (0x1900, 128), protocols: 1 << 2 };
     let contents = ethercat::sii::Contents {
@@ -35,7 +32,7 @@ fn rig(control: Option<u8>, watchdog: Watchdog, check_sii: bool, code: AlCode) -
         mailboxes: control.map(|_| mailboxes),
         ..ethercat::sii::Contents::default()
     };
-    let settings = Settings { features: Features(0x0180), sii: contents.image(), ..Settings::default() };
+    let settings = Settings { features: 0x0180, sii: contents.image(), ..Settings::default() };
     let refuses = (code != AlCode::NONE).then_some(AlState::SafeOp);
     let strict = Unwilling { refuses, code, ..Unwilling::default() };
     Rig::of(&plan, vec![Esc::new(settings, Box::new(strict))])

@@ -34,11 +34,11 @@ impl Application for Unwilling {
         false
     }
 
-    fn may_enter(&mut self, now: Time, state: AlState) -> Result<(), AlCode> {
-        if self.refuses == Some(state) {
-            return Err(self.code);
+    fn may_enter(&mut self, now: Time, state: ethercat::AlState) -> Result<(), u16> {
+        if self.refuses.is_some_and(|refused| refused as u8 == state as u8) {
+            return Err(self.code.0);
         }
-        (self.up, self.falls) = ((state == AlState::Op).then_some(now), false);
+        (self.up, self.falls) = ((state == ethercat::AlState::Op).then_some(now), false);
         Ok(())
     }
 
@@ -46,8 +46,8 @@ impl Application for Unwilling {
         self.falls = self.up.zip(self.stays_ns).is_some_and(|(up, stays)| now.since(up) > stays);
     }
 
-    fn dropped(&mut self) -> Option<AlCode> {
-        std::mem::take(&mut self.falls).then_some(self.code)
+    fn dropped(&mut self) -> Option<u16> {
+        std::mem::take(&mut self.falls).then_some(self.code.0)
     }
 
     fn process(&mut self, _now: Time, _outputs: &[u8], _inputs: &mut [u8]) {}
@@ -56,7 +56,7 @@ impl Application for Unwilling {
 fn unwilling(refuses: Option<AlState>, stays_ns: Option<u64>, code: AlCode) -> Rig {
     let plan = terminals();
     let sii = Coupler::of(&plan.devices[0]).contents("I/O", IO).image();
-    let settings = Settings { features: Features(0x0180), sii, ..Settings::default() };
+    let settings = Settings { features: 0x0180, sii, ..Settings::default() };
     let unwilling = Unwilling { refuses, stays_ns, code, ..Unwilling::default() };
     Rig::of(&plan, vec![Esc::new(settings, Box::new(unwilling))])
 }

@@ -2,10 +2,15 @@
 
 use super::*;
 use fieldbeat_ethercat::wire::sii::Fault;
-use fieldbeat_sim::ethercat::sii::Access;
+use fieldbeat_sim::ethercat::{SiiContent, SiiSettings};
+
+/// An SII whose commands take no time.
+fn quick() -> SiiSettings {
+    SiiSettings { busy_ns: 0, ..SiiSettings::default() }
+}
 
 /// Terminals whose SII is accessed like this.
-fn with(access: Access) -> Rig {
+fn with(access: SiiSettings) -> Rig {
     Rig::io(&terminals(), Settings { sii_access: access, ..Settings::default() })
 }
 
@@ -42,11 +47,11 @@ fn an_sii_that_its_processor_keeps_is_named_unless_nothing_of_it_is_needed() {
 
 #[test]
 fn a_command_is_written_to_an_idle_sii_and_repeated_if_it_fails() {
-    let usual = Access::default;
-    let failing = |fails_every| (Access { fails_every, ..usual() }, None);
+    let usual = quick;
+    let failing = |fails_every| (SiiSettings { fails_every, ..usual() }, None);
     for (access, left) in [
         // Commands of 40 ms: one of another master is under way.
-        (Access { busy_ns: 40 * MS, ..usual() }, Some([0x00, 0x01, 0x40, 0, 0, 0])),
+        (SiiSettings { busy_ns: 40 * MS, ..usual() }, Some([0x00, 0x01, 0x40, 0, 0, 0])),
         // One of so many reads fails: never twice in a row, and in the end each of them.
         failing(2),
         failing(3),
@@ -73,19 +78,19 @@ fn an_sii_that_always_fails_or_is_not_loaded_or_not_written_is_named() {
         rig.run(500);
         assert_eq!((rig.al(0), rig.note(0)), (AlState::Init, Note::Sii(fault)));
     };
-    named(with(Access { fails_every: 1, ..Access::default() }), Fault::Refused);
-    named(with(Access { unloaded: true, ..Access::default() }), Fault::Unloaded);
+    named(with(SiiSettings { fails_every: 1, ..quick() }), Fault::Refused);
+    named(with(SiiSettings { content: SiiContent::Unloaded, ..quick() }), Fault::Unloaded);
     let mut plan = terminals();
     plan.devices[0].slave.identity.vendor = Some(2);
-    let settings = Settings { sii: vec![0xFFFF; 64], features: Features(0x0180), ..Settings::default() };
+    let settings = Settings { sii: vec![0xFFFF; 64], features: 0x0180, ..Settings::default() };
     let blank = Esc::new(settings, Box::new(Coupler::of(&plan.devices[0])));
     named(Rig::of(&plan, vec![blank]), Fault::Checksum);
 }
 
 #[test]
 fn eight_bytes_a_read_are_taken_and_save_time() {
-    let cycles = [false, true]
-        .map(|eight| with(Access { busy_ns: 10 * MS, eight, ..Access::default() }).all_up(1_000));
+    let cycles =
+        [false, true].map(|eight| with(SiiSettings { busy_ns: 10 * MS, eight, ..quick() }).all_up(1_000));
     // Six reads of four bytes, four of eight; and the categories.
     assert!(cycles[1] + 30 < cycles[0], "{cycles:?}");
 }

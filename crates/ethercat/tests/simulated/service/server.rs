@@ -5,9 +5,8 @@ use std::fmt;
 use std::sync::{Arc, Mutex, MutexGuard};
 
 use fieldbeat_core::time::Time;
-use fieldbeat_ethercat::wire::registers::{AlCode, AlState};
 use fieldbeat_ethercat::wire::sdo::Object;
-use fieldbeat_sim::ethercat::Application;
+use fieldbeat_sim::ethercat::{AlState, Application};
 
 /// What is done with an answer before it is sent: any number of messages in its place.
 pub(super) type Twist = Box<dyn FnMut(Vec<u8>) -> Vec<Vec<u8>> + Send>;
@@ -155,7 +154,7 @@ impl Application for Server {
         next.map(|next| message.extend(next)).is_some()
     }
 
-    fn may_enter(&mut self, _now: Time, _state: AlState) -> Result<(), AlCode> {
+    fn may_enter(&mut self, _now: Time, _state: AlState) -> Result<(), u16> {
         Ok(())
     }
 

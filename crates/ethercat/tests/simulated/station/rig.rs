@@ -12,7 +12,7 @@ use fieldbeat_ethercat::start_up::start_up;
 use fieldbeat_ethercat::wire::frame::Command as DatagramCommand;
 use fieldbeat_ethercat::wire::mailbox::{Counter, SDO_SIZE, emit};
 use fieldbeat_ethercat::wire::sdo::Request;
-use fieldbeat_sim::ethercat::{Drive, DriveSettings};
+use fieldbeat_sim::ethercat::{self as sim, Drive, DriveSettings};
 
 /// One drive, and the segment in between.
 pub(super) struct Rig {
@@ -92,7 +92,7 @@ impl Rig {
         self.station.service.open(false);
         self.mail.clear();
         let now = self.now;
-        self.drive.may_enter(now, AlState::PreOp).unwrap();
+        self.drive.may_enter(now, sim::AlState::PreOp).unwrap();
         let mut counter = Counter::default();
         for start in start_up(&self.plan, PERIOD) {
             counter = counter.next();
@@ -104,13 +104,13 @@ impl Rig {
             assert_eq!(reply[8], 0x60, "{start:?}");
         }
         self.station.service.open(true);
-        self.drive.may_enter(now, AlState::SafeOp).unwrap();
+        self.drive.may_enter(now, sim::AlState::SafeOp).unwrap();
         let neutral = vec![0; self.outputs.len()];
         for _ in 0..200 {
             self.now = self.now + PERIOD;
             self.drive.process(self.now, &neutral, &mut self.inputs);
         }
-        self.drive.may_enter(self.now, AlState::Op).unwrap();
+        self.drive.may_enter(self.now, sim::AlState::Op).unwrap();
         self.al = AlState::Op;
         self.station.operational(Some(AlState::Op), &mut self.slot);
     }

@@ -11,7 +11,8 @@ impl Chip {
 
     /// Whether a station address, or an alias, is its own.
     pub(in super::super) fn is_called(&self, station: u16) -> bool {
-        let by_alias = self.memory[ALIAS_ENABLE] & 1 != 0 && station == self.word(address::ALIAS);
+        let by_alias =
+            self.memory[usize::from(address::ALIAS_ENABLE)] & 1 != 0 && station == self.word(address::ALIAS);
         station == self.word(address::STATION) || by_alias
     }
 
@@ -44,7 +45,7 @@ impl Chip {
             0x0600..0x0800 => (at - 0x0600) / Fmmu::SIZE < self.fmmus.len(),
             0x0800..0x0900 => (at - 0x0800) / SyncManager::SIZE < self.managers.len(),
             0x0900..0x0910 | 0x0918..0x0920 => self.receive_times,
-            0x0910..0x0A00 => self.features.has_clock(),
+            0x0910..0x0A00 => self.features & feature::CLOCK != 0,
             USER..PROCESS => true,
             _ => at >= PROCESS && at < self.memory_end().min(SPACE),
         }

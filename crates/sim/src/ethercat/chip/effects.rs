@@ -2,10 +2,9 @@
 
 use super::access::{Span, meets};
 use super::*;
-use fieldbeat_ethercat::wire::sii::Status;
 
-/// The command, in the control register of the SII.
-const SII_COMMAND: u16 = 7 << 8;
+/// What an emulated AL status takes over from AL control: state and error.
+const SHOWN: u8 = 0x1F;
 
 impl Chip {
     /// The effects of a write; whether anything was written.
@@ -44,7 +43,7 @@ impl Chip {
         if hit(address::AL_CONTROL, 2) {
             if self.emulated {
                 let [status, _] = self.word(address::AL_CONTROL).to_le_bytes();
-                self.put(address::AL_STATUS, &[status & AlStatus::SHOWN as u8]);
+                self.put(address::AL_STATUS, &[status & SHOWN]);
                 self.events |= STATE_CHANGED;
             } else {
                 self.requested = Some(self.passage.at);
@@ -53,8 +52,8 @@ impl Chip {
         if hit(address::ERRORS, 0x14) {
             self.put(address::ERRORS, &[0; 0x14]);
         }
-        if hit(WATCHDOG_COUNTER as u16, 2) {
-            self.put(WATCHDOG_COUNTER as u16, &[0; 2]);
+        if hit(address::WATCHDOG_COUNTER, 2) {
+            self.put(address::WATCHDOG_COUNTER, &[0; 2]);
         }
         if hit(address::SII_OWNER, 1) {
             self.sii_owner();
@@ -84,13 +83,13 @@ impl Chip {
         let is_forced = owner & FORCED != 0 && held != 0;
         self.met.sii_forced += u32::from(is_forced);
         let held = if is_forced { 0 } else { held };
-        self.put(address::SII_OWNER, &[owner & SLAVES, held]);
+        self.put(address::SII_OWNER, &[owner & SLAVE_OWNS, held]);
     }
 
     fn sii_command(&mut self) {
-        let [a, b, c, d] = self.bytes(address::SII_CONTROL + 2);
+        let [a, b, c, d] = self.bytes(address::SII_ADDRESS);
         let (control, word) = (self.word(address::SII_CONTROL), self.word(address::SII_DATA));
-        self.met.sii_reads += u32::from(control & SII_COMMAND == Status::READ);
+        self.met.sii_reads += u32::from(control & bit::COMMAND == bit::READ);
         if self.eeprom.command(self.passage.at, control, u32::from_le_bytes([a, b, c, d]), word) {
             self.show_sii();
         }

@@ -9,7 +9,7 @@ const DIGITAL: Range<usize> = 0x0F00..0x0F04;
 impl Chip {
     /// Reads what the FMMUs map into these logical addresses. Whether anything could be read.
     pub(in super::super) fn read_logical(&mut self, at: u32, data: &mut [u8]) -> bool {
-        self.each_fmmu(false, |chip, fmmu, is_first| {
+        self.each_fmmu(Fmmu::READ, |chip, fmmu, is_first| {
             let mut span = Span::default();
             for piece in pieces(fmmu).filter(|piece| is_first(piece.logical)) {
                 let Some(byte) = piece.place(at).and_then(|place| data.get_mut(place)) else { continue };
@@ -25,7 +25,7 @@ impl Chip {
 
     /// Writes what the FMMUs map from these logical addresses. Whether anything could be written.
     pub(in super::super) fn write_logical(&mut self, at: u32, data: &[u8]) -> bool {
-        self.each_fmmu(true, |chip, fmmu, is_first| {
+        self.each_fmmu(Fmmu::WRITE, |chip, fmmu, is_first| {
             let (mut span, mut last) = (Span::default(), None);
             for piece in pieces(fmmu).filter(|piece| is_first(piece.logical)) {
                 let Some(byte) = piece.place(at).and_then(|place| data.get(place)) else { continue };
@@ -50,13 +50,13 @@ impl Chip {
     /// its own: where several map one byte, the first counts and the others do not.
     fn each_fmmu(
         &mut self,
-        output: bool,
+        kind: u8,
         mut access: impl FnMut(&mut Chip, Fmmu, &dyn Fn(u64) -> bool) -> bool,
     ) -> bool {
         let (mut any, mut mapped) = (false, Vec::<Range<u64>>::new());
         for n in 0..self.fmmus.len() {
             let fmmu = self.fmmus[n];
-            if fmmu.active && fmmu.output == output {
+            if fmmu.active && fmmu.kind == kind {
                 any |= access(self, fmmu, &|logical| !mapped.iter().any(|range| range.contains(&logical)));
                 let begin = u64::from(fmmu.logical);
                 mapped.push(begin..begin + u64::from(fmmu.length));

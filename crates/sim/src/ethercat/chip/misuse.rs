@@ -30,15 +30,16 @@ impl Chip {
     pub(super) fn count_misuse(&mut self, at: u16, data: &[u8]) {
         let range = usize::from(at)..usize::from(at) + data.len();
         let byte = |at: usize| range.contains(&at).then(|| data[at - range.start]);
-        let status = AlStatus(self.word(address::AL_STATUS));
-        if byte(FIFO_SIZE).is_some() {
+        let status = self.word(address::AL_STATUS);
+        if byte(address::FIFO_SIZE.into()).is_some() {
             self.misuse.fifo_sizes += 1;
         }
-        let control = byte(address::AL_CONTROL.into()).map(|low| AlStatus(low.into()));
-        if control.is_some_and(AlStatus::error) && !status.error() {
+        let acknowledges =
+            byte(address::AL_CONTROL.into()).is_some_and(|low| u16::from(low) & al::ERROR != 0);
+        if acknowledges && status & al::ERROR == 0 {
             self.misuse.needless_acknowledges += 1;
         }
-        if range.start >= PROCESS && status.state() == Some(AlState::Init) {
+        if range.start >= PROCESS && AlState::of(status) == Some(AlState::Init) {
             self.misuse.early_writes += 1;
         }
         let changes =

@@ -3,10 +3,10 @@
 use super::*;
 
 fn chip(change: impl FnOnce(&mut Settings)) -> Chip {
-    let mut settings = Settings { features: Features(0x01CC), ..Settings::default() };
+    let mut settings = Settings { features: 0x01CC, ..Settings::default() };
     change(&mut settings);
     let mut chip = Chip::new(&settings, Vec::new());
-    chip.show_state(AlState::SafeOp, false, AlCode::NONE);
+    chip.show_state(AlState::SafeOp, false, code::NONE);
     chip
 }
 
@@ -17,8 +17,8 @@ fn map(chip: &mut Chip, n: u16, fmmu: Fmmu) {
 #[test]
 fn bytes_are_mapped_where_both_overlap() {
     let mut chip = chip(|_| {});
-    map(&mut chip, 0, Fmmu::bytes(0x1_0000, 4, 0x1100, true));
-    map(&mut chip, 1, Fmmu::bytes(0x1_0004, 4, 0x1200, false));
+    map(&mut chip, 0, Fmmu::bytes(0x1_0000, 4, 0x1100, Fmmu::WRITE));
+    map(&mut chip, 1, Fmmu::bytes(0x1_0004, 4, 0x1200, Fmmu::READ));
     assert!(chip.write_logical(0xFFFE, &[1, 2, 3, 4, 5]));
     assert_eq!(chip.bytes(0x10FF_u16), [0, 3, 4, 5, 0, 0]);
     assert!(chip.write(0x1200, &[6, 7, 8, 9]));
@@ -28,16 +28,16 @@ fn bytes_are_mapped_where_both_overlap() {
     assert!(!chip.read_logical(0x1_0000, &mut data[..4]), "outputs are not read");
     assert!(!chip.write_logical(0x1_0004, &data));
     // Of two that map one byte the first counts.
-    map(&mut chip, 0, Fmmu { bits: (0, 3), ..Fmmu::bytes(0x40, 1, 0x0F00, true) });
-    map(&mut chip, 1, Fmmu { bits: (4, 7), ..Fmmu::bytes(0x40, 2, 0x0F01, true) });
+    map(&mut chip, 0, Fmmu { bits: (0, 3), ..Fmmu::bytes(0x40, 1, 0x0F00, Fmmu::WRITE) });
+    map(&mut chip, 1, Fmmu { bits: (4, 7), ..Fmmu::bytes(0x40, 2, 0x0F01, Fmmu::WRITE) });
     assert!(chip.write_logical(0x40, &[0xFF, 0xFF]));
     assert_eq!(chip.bytes(0x0F00_u16), [0x0F, 0xF0, 0x0F], "of the second one only the other byte");
     // At the end of both spaces there is what there is.
     let mut chip = self::chip(|settings| settings.ram_kib = 60);
-    map(&mut chip, 0, Fmmu::bytes(u32::MAX - 1, 0xFFFF, 0xFFFE, true));
+    map(&mut chip, 0, Fmmu::bytes(u32::MAX - 1, 0xFFFF, 0xFFFE, Fmmu::WRITE));
     assert!(chip.write_logical(u32::MAX - 1, &[1, 2, 3, 4]));
     assert_eq!(chip.bytes(0xFFFE_u16), [1, 2]);
-    map(&mut chip, 0, Fmmu { bits: (7, 0), length: 1, ..Fmmu::bytes(0, 1, 0x1000, true) });
+    map(&mut chip, 0, Fmmu { bits: (7, 0), length: 1, ..Fmmu::bytes(0, 1, 0x1000, Fmmu::WRITE) });
     assert!(!chip.write_logical(0, &[0xFF]), "it ends before it begins");
 }
 
@@ -45,9 +45,8 @@ fn bytes_are_mapped_where_both_overlap() {
 fn bits_are_mapped_across_bytes_and_leave_their_neighbours() {
     let mut chip = chip(|_| {});
     // Ten bits from bit 6 on, to the memory from bit 3 on.
-    let crooked =
-        |output| Fmmu { bits: (6, 7), physical: (0x0F00, 3), ..Fmmu::bytes(0x40, 2, 0x0F00, output) };
-    map(&mut chip, 0, crooked(true));
+    let crooked = |kind| Fmmu { bits: (6, 7), physical: (0x0F00, 3), ..Fmmu::bytes(0x40, 2, 0x0F00, kind) };
+    map(&mut chip, 0, crooked(Fmmu::WRITE));
     assert!(chip.write(0x0F00, &[0xFF, 0xFF]));
     assert!(chip.write_logical(0x40, &[0x40, 0x00]));
     assert_eq!(
@@ -56,12 +55,12 @@ fn bits_are_mapped_across_bytes_and_leave_their_neighbours() {
         "ten bits from bit 3 on, the first one set"
     );
     // Elsewhere memory is written by bytes: what is not mapped has any value.
-    let elsewhere = Fmmu { physical: (0x1100, 3), ..crooked(true) };
+    let elsewhere = Fmmu { physical: (0x1100, 3), ..crooked(Fmmu::WRITE) };
     map(&mut chip, 0, elsewhere);
     assert!(chip.write(0x1100, &[0xFF, 0xFF]) && chip.write_logical(0x40, &[0x40, 0x00]));
     assert_eq!(chip.bytes(0x1100_u16), [0b0000_1000, 0]);
     assert!(chip.write(0x0F00, &[0b0101_0000, 0b0000_0001]));
-    map(&mut chip, 0, crooked(false));
+    map(&mut chip, 0, crooked(Fmmu::READ));
     let mut data = [0b0011_1111, 0xFF];
     assert!(chip.read_logical(0x40, &mut data));
     assert_eq!(data, [0b1011_1111, 0b0000_1010]);
@@ -71,25 +70,25 @@ fn bits_are_mapped_across_bytes_and_leave_their_neighbours() {
 fn the_state_stands_in_the_image_by_a_spare_fmmu_and_counts_in_every_state() {
     for state in [AlState::Init, AlState::PreOp, AlState::SafeOp, AlState::Op] {
         let mut chip = chip(|_| {});
-        chip.show_state(state, state == AlState::SafeOp, AlCode::NONE);
-        map(&mut chip, 2, Fmmu::bytes(0x2_0010, 2, address::AL_STATUS, false));
+        chip.show_state(state, state == AlState::SafeOp, code::NONE);
+        map(&mut chip, 2, Fmmu::bytes(0x2_0010, 2, address::AL_STATUS, Fmmu::READ));
         let mut data = [0xEE; 6];
         assert!(chip.read_logical(0x2_000E, &mut data));
         let error = if state == AlState::SafeOp { 0x10 } else { 0 };
-        assert_eq!(data, [0xEE, 0xEE, state.number() | error, 0, 0xEE, 0xEE]);
+        assert_eq!(data, [0xEE, 0xEE, state as u8 | error, 0, 0xEE, 0xEE]);
     }
     // A single bit shows that the mailbox is full.
     let mut chip = chip(|settings| settings.device_id = Some(0x1234));
     let mailbox = SyncManager { start: 0x1C00, length: 16, control: SyncManager::MAILBOX_IN, activate: 1 };
     assert!(chip.write(address::sync_manager(1), &mailbox.to_bytes()));
-    map(&mut chip, 2, Fmmu { bits: (0, 0), ..Fmmu::bytes(0x0900_0000, 1, 0x080D, false) });
+    map(&mut chip, 2, Fmmu { bits: (0, 0), ..Fmmu::bytes(0x0900_0000, 1, 0x080D, Fmmu::READ) });
     let mut flag = [0xF0];
     assert!(chip.read_logical(0x0900_0000, &mut flag) && flag == [0xF0]);
     chip.put_message(&[1; 16]);
     assert!(chip.read_logical(0x0900_0000, &mut flag) && flag == [0xF1]);
     // A device id stands in place of no error.
     assert_eq!(chip.bytes(address::AL_STATUS), [0x24, 0, 0, 0, 0x34, 0x12]);
-    chip.show_state(AlState::SafeOp, true, AlCode::WATCHDOG);
+    chip.show_state(AlState::SafeOp, true, code::WATCHDOG);
     assert_eq!(chip.bytes(address::AL_STATUS), [0x14, 0, 0, 0, 0x1B, 0]);
 }
 
@@ -117,7 +116,7 @@ fn a_pulse_that_runs_has_no_other_start_and_no_other_cycle() {
 #[test]
 fn registers_that_are_not_there_are_neither_read_nor_written() {
     let mut chip = chip(|settings| {
-        settings.features = Features(0x0180);
+        settings.features = 0x0180;
         (settings.receive_times, settings.fmmus, settings.sync_managers, settings.ram_kib) = (true, 2, 2, 1);
     });
     for (at, there) in [
@@ -192,8 +191,8 @@ fn the_watchdog_runs_from_the_last_output_and_can_be_switched_off() {
     assert_eq!(chip.bytes(address::WATCHDOG_STATUS), [0, 0, 1]);
     assert!(chip.write(address::WATCHDOG, &[0, 0]));
     assert!(!chip.watchdog_expired(Time(300_000_000)));
-    assert!(chip.write(WATCHDOG_COUNTER as u16, &[7]));
+    assert!(chip.write(address::WATCHDOG_COUNTER, &[7]));
     assert_eq!(chip.bytes(address::WATCHDOG_STATUS), [1, 0, 0]);
-    chip.show_state(AlState::PreOp, false, AlCode::NONE);
+    chip.show_state(AlState::PreOp, false, code::NONE);
     assert!(chip.outputs().next().is_none(), "locked, they count no more");
 }

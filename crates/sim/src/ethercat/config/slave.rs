@@ -112,6 +112,7 @@ fn sii(table: &mut Table<'_>) -> SiiSettings {
                 ],
             )
             .unwrap_or(usual.content),
+        ..usual
     }
 }
 

@@ -11,7 +11,7 @@ impl Drive {
         let behind = self.power.demand() - self.power.place();
         let window = self.objects.get(FOLLOWING_WINDOW);
         if window != i64::from(u32::MAX) && behind.abs() / TAU * self.per_turn() > window as f64 {
-            return self.fail(Fault::FOLLOWING);
+            return self.fail(fault::FOLLOWING);
         }
         if self.homing == Homing::Moving && !self.power.is_moving() && behind.abs() < REACHED.1 {
             self.found_home();
@@ -40,21 +40,21 @@ impl Drive {
         self.objects.get(object) as f64 * RPM
     }
 
-    pub(super) fn profile_position(&mut self, word: ControlWord, before: ControlWord) {
-        if word.rises(before, ControlWord::START) {
+    pub(super) fn profile_position(&mut self, word: u16, before: u16) {
+        if rises(before, word, control::START) {
             let target = self.objects.get(TARGET_POSITION);
-            let place = match word.has(ControlWord::RELATIVE) {
+            let place = match word & control::RELATIVE != 0 {
                 true => self.power.demand() + target as f64 / self.per_turn() * TAU,
                 false => self.place_of(target),
             };
             let (up, down) = (self.ramp(ACCELERATION), self.ramp(DECELERATION));
             self.goal = Some(Aim::GoTo { place, speed: self.speed(PROFILE_VELOCITY), up, down });
         }
-        self.acknowledged = word.has(ControlWord::START);
+        self.acknowledged = word & control::START != 0;
     }
 
-    pub(super) fn home(&mut self, word: ControlWord, before: ControlWord) {
-        if word.rises(before, ControlWord::START) {
+    pub(super) fn home(&mut self, word: u16, before: u16) {
+        if rises(before, word, control::START) {
             self.power.homed = false;
             if self.objects.get(HOMING_METHOD) == HOME_HERE {
                 return self.found_home();
@@ -64,7 +64,7 @@ impl Drive {
                 |turns| Aim::GoTo { place: turns * TAU, speed: self.speed(HOMING_SPEED), up, down: up };
             self.goal = self.settings.home_turns.map(goal);
             self.homing = if self.goal.is_some() { Homing::Moving } else { Homing::Failed };
-        } else if self.homing == Homing::Moving && !word.has(ControlWord::START) {
+        } else if self.homing == Homing::Moving && word & control::START == 0 {
             (self.homing, self.goal) = (Homing::Idle, None);
         }
     }
@@ -75,13 +75,13 @@ impl Drive {
         let is_mapped = |object| self.selected(OUTPUT_PDO).is_some_and(|pdo| pdo.place(object).is_some());
         // The target of each mode, whatever is in it (CiA 402-2); of the vendor's mode whichever is mapped (assumed).
         let (object, wanted) = match self.mode() {
-            Mode::CYCLIC_POSITION => (TARGET_POSITION, true),
-            Mode::TRAJECTORY if is_mapped(TARGET_POSITION) => (TARGET_POSITION, true),
-            Mode::TRAJECTORY => (INTERPOLATION, true),
-            Mode::INTERPOLATED => (INTERPOLATION, word.has(ControlWord::START)),
+            mode::CYCLIC_POSITION => (TARGET_POSITION, true),
+            mode::TRAJECTORY if is_mapped(TARGET_POSITION) => (TARGET_POSITION, true),
+            mode::TRAJECTORY => (INTERPOLATION, true),
+            mode::INTERPOLATED => (INTERPOLATION, word & control::START != 0),
             _ => return,
         };
-        self.track = match wanted && self.state == State::OperationEnabled && !word.has(ControlWord::HALT) {
+        self.track = match wanted && self.state == State::OperationEnabled && word & control::HALT == 0 {
             true => {
                 let (from, over_ns) = (self.track.at(now).0, self.sync.cycle_ns().unwrap_or(MS));
                 let most = self.most_speed() * over_ns as f64 / S as f64;
@@ -124,18 +124,18 @@ impl Drive {
             let most = self.objects.get(MAXIMUM_TORQUE) as f64;
             Aim::Torque(self.torque(permille.max(-most).min(most)))
         };
-        if word.has(ControlWord::HALT) {
+        if word & control::HALT != 0 {
             return velocity(0.0);
         }
         match self.mode() {
-            Mode::PROFILE_VELOCITY => velocity(self.speed(TARGET_VELOCITY)),
-            Mode::DIGITAL_VELOCITY => velocity(self.speed(VELOCITY_SETPOINT)),
-            Mode::TORQUE => torque(self.objects.get(TARGET_TORQUE) as f64),
-            Mode::DIGITAL_CURRENT => {
+            mode::PROFILE_VELOCITY => velocity(self.speed(TARGET_VELOCITY)),
+            mode::DIGITAL_VELOCITY => velocity(self.speed(VELOCITY_SETPOINT)),
+            mode::TORQUE => torque(self.objects.get(TARGET_TORQUE) as f64),
+            mode::DIGITAL_CURRENT => {
                 torque(self.objects.get(CURRENT_SETPOINT) as f64 * self.settings.permille_per_count)
             }
-            Mode::INTERPOLATED if !word.has(ControlWord::START) => velocity(0.0),
-            Mode::INTERPOLATED | Mode::TRAJECTORY | Mode::CYCLIC_POSITION => {
+            mode::INTERPOLATED if word & control::START == 0 => velocity(0.0),
+            mode::INTERPOLATED | mode::TRAJECTORY | mode::CYCLIC_POSITION => {
                 let (place, speed) = self.track.at(at);
                 let motor = &self.settings.motor;
                 let given_way = motor.load_nm / (motor.inertia_kgm2 * (TAU * BANDWIDTH_HZ).powi(2));

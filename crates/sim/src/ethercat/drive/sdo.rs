@@ -1,15 +1,14 @@
 //! The effects of SDOs on a drive: reading and writing its objects, one by one or all subindices at once.
 
 use super::*;
+use crate::ethercat::codec::mailbox::abort;
 use crate::ethercat::mailbox::Request;
-use crate::ethercat::objects::abort;
-use fieldbeat_ethercat::wire::sdo::AbortCode;
 
 const COUNT: u8 = 0;
 
 impl Drive {
     /// Carries out a request; the read data are the answer.
-    pub(super) fn obey_sdo(&mut self, request: &Request) -> Result<Vec<u8>, AbortCode> {
+    pub(super) fn obey_sdo(&mut self, request: &Request) -> Result<Vec<u8>, u32> {
         let object = request.object;
         match (&request.data, request.complete) {
             (Some(data), false) => self.write(object, data).map(|()| Vec::new()),
@@ -21,7 +20,7 @@ impl Drive {
         }
     }
 
-    fn read(&self, object: Object) -> Result<Vec<u8>, AbortCode> {
+    fn read(&self, object: Object) -> Result<Vec<u8>, u32> {
         match object {
             DEVICE_NAME if self.settings.long_sdos.is_some() => Ok(self.settings.name.as_bytes().to_vec()),
             _ if self.mapping.has(object) => self.mapping.read(object),
@@ -30,16 +29,16 @@ impl Drive {
     }
 
     /// All subindices from that of `object` on, 0 or 1; the count is followed by a padding byte.
-    fn read_all(&self, object: Object) -> Result<Vec<u8>, AbortCode> {
+    fn read_all(&self, object: Object) -> Result<Vec<u8>, u32> {
         let subs: Vec<u8> = match self.mapping.has(object) {
             true => (0..=self.mapping.subs()).collect(),
             false => self.objects.subs(object.index).collect(),
         };
         match (&subs[..], object.sub) {
-            ([], _) => return Err(AbortCode::NO_OBJECT),
+            ([], _) => return Err(abort::NO_OBJECT),
             ([_], 0) => return self.read(object),
             (_, 0 | 1) => {}
-            _ => return Err(AbortCode::NOT_COMPLETE),
+            _ => return Err(abort::NOT_COMPLETE),
         }
         let mut all = Vec::new();
         for sub in subs.into_iter().filter(|sub| *sub >= object.sub) {
@@ -52,16 +51,16 @@ impl Drive {
     }
 
     /// Writes all subindices from that of `object` on. A count that can be written is 0 meanwhile.
-    fn write_all(&mut self, object: Object, data: &[u8]) -> Result<(), AbortCode> {
+    fn write_all(&mut self, object: Object, data: &[u8]) -> Result<(), u32> {
         let count = Object::new(object.index, COUNT);
         let (wanted, mut rest) = match (object.sub, data) {
             (0, [wanted, _, rest @ ..]) => (Some(*wanted), rest),
             (1, rest) => (None, rest),
-            (0, _) => return Err(AbortCode::LENGTH),
-            _ => return Err(AbortCode::NOT_COMPLETE),
+            (0, _) => return Err(abort::LENGTH),
+            _ => return Err(abort::NOT_COMPLETE),
         };
         let counted = match wanted.map(|_| self.write(count, &[0])) {
-            None | Some(Err(AbortCode::READ_ONLY)) => None,
+            None | Some(Err(abort::READ_ONLY)) => None,
             Some(written) => written.map(|()| wanted)?,
         };
         for sub in 1_u8.. {
@@ -70,7 +69,7 @@ impl Drive {
             }
             let entry = Object::new(object.index, sub);
             let size = if self.mapping.has(entry) { 4 } else { self.objects.size(entry)? };
-            let (own, behind) = rest.split_at_checked(size).ok_or(AbortCode::LENGTH)?;
+            let (own, behind) = rest.split_at_checked(size).ok_or(abort::LENGTH)?;
             self.write(entry, own)?;
             rest = behind;
         }
@@ -78,9 +77,9 @@ impl Drive {
     }
 
     /// Writes an entry of a PDO, or its count.
-    fn map(&mut self, object: Object, data: &[u8]) -> Result<(), AbortCode> {
+    fn map(&mut self, object: Object, data: &[u8]) -> Result<(), u32> {
         if self.al != AlState::PreOp {
-            return Err(AbortCode::STATE);
+            return Err(abort::STATE);
         }
         let selects = |assignment| {
             let get = |sub| self.objects.get(Object::new(assignment, sub));
@@ -95,7 +94,7 @@ impl Drive {
     }
 
     /// Writes an object for the master.
-    fn write(&mut self, object: Object, data: &[u8]) -> Result<(), AbortCode> {
+    fn write(&mut self, object: Object, data: &[u8]) -> Result<(), u32> {
         if self.mapping.has(object) {
             return self.map(object, data);
         }
@@ -111,7 +110,7 @@ impl Drive {
             }
             CYCLE_TIME => self.cycle_ns = Some(value as u64 * QUANTUM_NS),
             limit if TORQUE_LIMITS.contains(&limit) => self.limit_torque(),
-            MODE => self.change_mode(Mode(mode as i8)),
+            MODE => self.change_mode(mode as i8),
             CONTROL_WORD if self.al == AlState::Op => self.obey(),
             _ => {}
         }
@@ -119,7 +118,7 @@ impl Drive {
     }
 
     /// Whether an object can have this value now.
-    fn judge(&self, object: Object, value: i64) -> Result<(), AbortCode> {
+    fn judge(&self, object: Object, value: i64) -> Result<(), u32> {
         let mapped = || self.selected(OUTPUT_PDO).is_some_and(|layout| layout.place(object).is_some());
         if self.is_cyclic() && mapped() {
             return Err(abort::MAPPED);
@@ -136,10 +135,10 @@ impl Drive {
                 let is_output = object.index == OUTPUT_PDO;
                 let mut layouts = self.layouts();
                 let exists =
-                    layouts.any(|layout| i64::from(layout.pdo) == value && layout.is_output() == is_output);
-                if value == 0 || exists { Ok(()) } else { Err(AbortCode::RANGE) }
+                    layouts.any(|layout| i64::from(layout.index) == value && layout.is_output() == is_output);
+                if value == 0 || exists { Ok(()) } else { Err(abort::RANGE) }
             }
-            (0x6060, 0) if !self.has_mode(Mode(value as i8)) => Err(AbortCode::RANGE),
+            (0x6060, 0) if !has_mode(self.settings.family, value as i8) => Err(abort::RANGE),
             _ => Ok(()),
         }
     }
@@ -157,11 +156,11 @@ mod tests {
         let types = Object::new(0x1C00, 1);
         assert_eq!(drive.read_all(object(0x1C00)), Ok(vec![4, 0, 1, 2, 3, 4]), "as in a capture");
         assert_eq!(drive.read_all(types), Ok(vec![1, 2, 3, 4]));
-        assert_eq!(drive.read_all(Object::new(0x1C00, 2)), Err(AbortCode::NOT_COMPLETE));
-        assert_eq!(drive.read_all(object(0x5FFF)), Err(AbortCode::NO_OBJECT));
+        assert_eq!(drive.read_all(Object::new(0x1C00, 2)), Err(abort::NOT_COMPLETE));
+        assert_eq!(drive.read_all(object(0x5FFF)), Err(abort::NO_OBJECT));
         assert_eq!(drive.read_all(object(0x1000)).unwrap().len(), 4);
-        assert_eq!(drive.write_all(object(0x1C12), &[1, 0, 0x02]), Err(AbortCode::LENGTH));
-        assert_eq!(drive.write_all(object(0x1C12), &[1]), Err(AbortCode::LENGTH));
+        assert_eq!(drive.write_all(object(0x1C12), &[1, 0, 0x02]), Err(abort::LENGTH));
+        assert_eq!(drive.write_all(object(0x1C12), &[1]), Err(abort::LENGTH));
         // The count of 60C2 is read only.
         for (index, entries) in [
             (0x1C12, &[1, 0, 0x02, 0x17][..]),

@@ -2,6 +2,9 @@
 
 use super::*;
 
+/// In the error register: there is a fault.
+const GENERIC: u8 = 1 << 0;
+
 /// Bits of the manufacturer's status, 1002h (CAN manual).
 mod manufacturer {
     pub const MOTION: u32 = 1 << 0;
@@ -13,25 +16,25 @@ mod manufacturer {
 }
 
 impl Drive {
-    pub(super) fn status(&self) -> StatusWord {
-        use StatusWord as W;
+    pub(super) fn status(&self) -> u16 {
+        use cia402::status as bit;
         let powered = self.state.is_powered();
         let runs = self.state == State::OperationEnabled;
-        let started = self.control.is_some_and(|word| word.has(ControlWord::START));
+        let started = self.control.is_some_and(|word| word & control::START != 0);
         let (bit_12, bit_13) = match self.mode() {
-            Mode::PROFILE_POSITION => (self.acknowledged, false),
-            Mode::HOMING => (self.homing == Homing::Done, self.homing == Homing::Failed),
-            Mode::INTERPOLATED => (started, false),
+            mode::PROFILE_POSITION => (self.acknowledged, false),
+            mode::HOMING => (self.homing == Homing::Done, self.homing == Homing::Failed),
+            mode::INTERPOLATED => (started, false),
             _ => (false, false),
         };
         let bits = set_bits([
-            (powered, W::VOLTAGE),
-            (!self.sync.is_synchronous(), W::WARNING),
-            (self.is_reached(), W::TARGET_REACHED),
-            (runs && bit_12, W::MODE_12),
-            (runs && bit_13, W::MODE_13),
+            (powered, bit::VOLTAGE),
+            (!self.sync.is_synchronous(), bit::WARNING),
+            (self.is_reached(), bit::TARGET_REACHED),
+            (runs && bit_12, bit::MODE_12),
+            (runs && bit_13, bit::MODE_13),
         ]);
-        W::of(self.state).with(W::REMOTE | bits)
+        cia402::status_of(self.state) | bit::REMOTE | bits
     }
 
     fn manufacturer_status(&self) -> u32 {
@@ -55,10 +58,10 @@ impl Drive {
         let torque = self.power.torque() / self.settings.motor.rated_nm * 1e3;
         let fault = self.power.fault();
         for (object, value) in [
-            (ERROR_REGISTER, fault.map_or(0, |fault| fault.error_register().into())),
-            (ERROR_CODE, fault.map_or(0, |fault| fault.code.into())),
+            (ERROR_REGISTER, fault.map_or(0, |code| i64::from(error_register(code) | GENERIC))),
+            (ERROR_CODE, fault.map_or(0, i64::from)),
             (MANUFACTURER_STATUS, self.manufacturer_status().into()),
-            (MODE_DISPLAY, self.mode().0.into()),
+            (MODE_DISPLAY, self.mode().into()),
             (INCREMENTS, increments),
             (POSITION_2, increments),
             (POSITION, self.position()),
@@ -72,7 +75,7 @@ impl Drive {
             self.objects.set(object, value);
         }
         if self.is_cyclic() {
-            self.objects.set(STATUS_WORD, self.status().0.into());
+            self.objects.set(STATUS_WORD, self.status().into());
         }
     }
 }

@@ -1,55 +1,53 @@
-use super::super::testing::Bench;
+use super::super::codec::frame::Command::*;
+use super::super::testing::{Bench, logical};
 use super::*;
-use fieldbeat_ethercat::wire::frame::position;
-use fieldbeat_ethercat::wire::registers::Features;
 
 /// Memory that nothing guards.
 const FREE: u16 = 0x0F80;
 
 /// Two drives and a slave without a clock.
 fn three() -> Bench {
-    let blind = Settings { features: Features(0x0180), ..Settings::default() };
+    let blind = Settings { features: 0x0180, ..Settings::default() };
     Bench::new(vec![Settings::default(), Settings::default(), blind])
 }
 
 #[test]
 fn each_command_counts_as_often_as_it_is_carried_out_and_only_positions_are_counted_on() {
     let mut bench = three();
-    let second = position(1);
-    let of = |address: u16| u32::from(address) | u32::from(FREE) << 16;
+    let second = 0xFFFF;
     for (command, count, back) in [
-        (Command::Nop, 0, 0),
-        (Command::Aprd(second, FREE), 1, of(2)),
-        (Command::Apwr(second, FREE), 1, of(2)),
-        (Command::Aprw(second, FREE), 3, of(2)),
-        (Command::Aprd(position(3), FREE), 0, of(0)),
-        (Command::Fprd(0x1002, FREE), 1, of(0x1002)),
-        (Command::Fpwr(0x1002, FREE), 1, of(0x1002)),
-        (Command::Fprw(0x1002, FREE), 3, of(0x1002)),
-        (Command::Fprd(0x2000, FREE), 0, of(0x2000)),
-        (Command::Brd(FREE), 3, of(3)),
-        (Command::Bwr(FREE), 3, of(3)),
-        (Command::Brw(FREE), 9, of(3)),
-        (Command::Armw(second, FREE), 3, of(2)),
-        (Command::Frmw(0x1002, FREE), 3, of(0x1002)),
-        (Command::Frmw(0x2000, FREE), 3, of(0x2000)),
-        (Command::Lrd(5), 0, 5),
-        (Command::Lwr(5), 0, 5),
-        (Command::Lrw(5), 0, 5),
+        ((Nop, 0, 0), 0, 0),
+        ((Aprd, second, FREE), 1, 2),
+        ((Apwr, second, FREE), 1, 2),
+        ((Aprw, second, FREE), 3, 2),
+        ((Aprd, 0xFFFD, FREE), 0, 0),
+        ((Fprd, 0x1002, FREE), 1, 0x1002),
+        ((Fpwr, 0x1002, FREE), 1, 0x1002),
+        ((Fprw, 0x1002, FREE), 3, 0x1002),
+        ((Fprd, 0x2000, FREE), 0, 0x2000),
+        ((Brd, 0, FREE), 3, 3),
+        ((Bwr, 0, FREE), 3, 3),
+        ((Brw, 0, FREE), 9, 3),
+        ((Armw, second, FREE), 3, 2),
+        ((Frmw, 0x1002, FREE), 3, 0x1002),
+        ((Frmw, 0x2000, FREE), 3, 0x2000),
+        (logical(Lrd, 5), 0, 5),
+        (logical(Lwr, 5), 0, 5),
+        (logical(Lrw, 5), 0, 5),
     ] {
         let (_, counted, address) = bench.send_whole(command, &[0; 4]);
         assert_eq!((counted, address), (count, back), "{command:?}");
     }
     for (command, count) in [
         // What the slave without a clock has of it, and what it does not have.
-        (Command::Bwr(address::DC_PORTS), 3),
-        (Command::Bwr(address::DC_TIME), 2),
-        (Command::Frmw(0x1001, address::DC_TIME), 2),
-        (Command::Armw(position(0), address::DC_TIME), 2),
+        ((Bwr, 0, address::DC_PORTS), 3),
+        ((Bwr, 0, address::DC_TIME), 2),
+        ((Frmw, 0x1001, address::DC_TIME), 2),
+        ((Armw, 0, address::DC_TIME), 2),
         // What cannot be written, and what is not there.
-        (Command::Bwr(address::TYPE), 0),
-        (Command::Brw(address::TYPE), 3),
-        (Command::Brd(0x4000), 0),
+        ((Bwr, 0, address::TYPE), 0),
+        ((Brw, 0, address::TYPE), 3),
+        ((Brd, 0, 0x4000), 0),
     ] {
         assert_eq!(bench.send(command, &[0; 4]).1, count, "{command:?}");
     }
@@ -60,11 +58,11 @@ fn reads_of_all_are_or_ed_and_a_state_may_come_out_that_is_none() {
     let mut bench = Bench::drives(|_| {});
     bench.all_to(&[AlState::SafeOp]);
     bench.go(1, AlState::Op);
-    assert_eq!(bench.send(Command::Brd(address::AL_STATUS), &[0; 2]), (vec![0x0C, 0], 2));
+    assert_eq!(bench.send((Brd, 0, address::AL_STATUS), &[0; 2]), (vec![0x0C, 0], 2));
     // What the master sends is or-ed too.
-    assert_eq!(bench.send(Command::Brd(address::AL_STATUS), &[0xF0, 0]), (vec![0xFC, 0], 2));
+    assert_eq!(bench.send((Brd, 0, address::AL_STATUS), &[0xF0, 0]), (vec![0xFC, 0], 2));
     // The alias counts once it is switched on.
-    let by_alias = Command::Fprd(0x77, address::STATION);
+    let by_alias = (Fprd, 0x77, address::STATION);
     assert_eq!(bench.send(by_alias, &[0; 2]).1, 0);
     bench.write(0, 0x0103, &[1]);
     assert_eq!(bench.send(by_alias, &[0; 4]), (vec![0x01, 0x10, 0x77, 0], 1));
@@ -74,12 +72,12 @@ fn reads_of_all_are_or_ed_and_a_state_may_come_out_that_is_none() {
 fn what_was_there_is_read_and_what_reaches_each_slave_is_written() {
     let values = |bench: &mut Bench| [0, 1, 2].map(|n| bench.read(n, FREE).map(|[byte]| byte).unwrap());
     for (was, command, sent, back, are) in [
-        ([1, 2, 4], Command::Fprw(0x1002, FREE), 0x80, 2, [1, 0x80, 4]),
+        ([1, 2, 4], (Fprw, 0x1002, FREE), 0x80, 2, [1, 0x80, 4]),
         // Each writes what the ones before it have or-ed.
-        ([1, 0x80, 4], Command::Brw(FREE), 0x10, 0x95, [0x10, 0x11, 0x91]),
+        ([1, 0x80, 4], (Brw, 0, FREE), 0x10, 0x95, [0x10, 0x11, 0x91]),
         // One reads, and those behind it write that.
-        ([1, 2, 3], Command::Frmw(0x1002, FREE), 9, 2, [9, 2, 2]),
-        ([9, 2, 2], Command::Armw(position(0), FREE), 5, 9, [9, 9, 9]),
+        ([1, 2, 3], (Frmw, 0x1002, FREE), 9, 2, [9, 2, 2]),
+        ([9, 2, 2], (Armw, 0, FREE), 5, 9, [9, 9, 9]),
     ] {
         let mut bench = three();
         (0..).zip(was).for_each(|(n, byte)| assert_eq!(bench.write(n, FREE, &[byte]), 1));
@@ -90,20 +88,19 @@ fn what_was_there_is_read_and_what_reaches_each_slave_is_written() {
 
 #[test]
 fn a_slave_does_not_do_what_its_features_lack() {
-    let mut bench = Bench::drives(|settings| settings.features = Features(0x0784));
+    let mut bench = Bench::drives(|settings| settings.features = 0x0784);
     bench.all_to(&[AlState::SafeOp]);
-    assert_eq!(bench.send(Command::Lrw(0x1_0000), &[7; 28]), (vec![7; 28], 0));
-    assert_eq!(bench.send(Command::Lrd(0x1_0000), &[7; 28]).1, 2);
-    assert_eq!(bench.send(Command::Lwr(0x1_0000), &[7; 28]).1, 2);
-    for command in [Command::Brw(FREE), Command::Fprw(0x1001, FREE), Command::Aprw(0, FREE)] {
+    assert_eq!(bench.send(logical(Lrw, 0x1_0000), &[7; 28]), (vec![7; 28], 0));
+    assert_eq!(bench.send(logical(Lrd, 0x1_0000), &[7; 28]).1, 2);
+    assert_eq!(bench.send(logical(Lwr, 0x1_0000), &[7; 28]).1, 2);
+    for command in [(Brw, 0, FREE), (Fprw, 0x1001, FREE), (Aprw, 0, FREE)] {
         assert_eq!(bench.send(command, &[7; 2]), (vec![7; 2], 0));
     }
 }
 
 #[test]
 fn sync0_runs_the_application_on_its_time_and_no_output_does() {
-    let mut bench =
-        Bench::drives(|settings| (settings.clock_ns, settings.features) = (5_000, Features(0x018C)));
+    let mut bench = Bench::drives(|settings| (settings.clock_ns, settings.features) = (5_000, 0x018C));
     bench.all_to(&[AlState::SafeOp]);
     bench.write(0, address::DC_CYCLE, &1_000_u32.to_le_bytes());
     bench.write(0, address::DC_START, &7_000_u64.to_le_bytes());
@@ -111,12 +108,12 @@ fn sync0_runs_the_application_on_its_time_and_no_output_does() {
     bench.scripts[0].script().cycles.clear();
     let begin = bench.now;
     bench.wait(4_500);
-    bench.send(Command::Lrw(0x1_0000), &[1; 28]);
+    bench.send(logical(Lrw, 0x1_0000), &[1; 28]);
     let at: Vec<u64> = bench.scripts[0].script().cycles.iter().map(|(at, _)| at.since(begin)).collect();
     assert_eq!(at, [2_000, 3_000, 4_000]);
     assert_eq!(bench.read(0, address::DC_START), Some(10_000_u64.to_le_bytes()), "the next one");
-    bench.send(Command::Bwr(address::DC_ACTIVATION), &[0]);
+    bench.send((Bwr, 0, address::DC_ACTIVATION), &[0]);
     bench.wait(9_000);
-    bench.send(Command::Lrw(0x1_0000), &[1; 28]);
+    bench.send(logical(Lrw, 0x1_0000), &[1; 28]);
     assert_eq!(bench.scripts[0].script().cycles.len(), 4, "by the outputs again");
 }

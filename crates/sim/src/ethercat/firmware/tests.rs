@@ -1,10 +1,10 @@
 use super::super::Settings;
-use super::super::testing::{Bench, Script, with_mailbox};
+use super::super::codec::frame::Command::*;
+use super::super::codec::registers::AlState as S;
+use super::super::testing::{Bench, Script, logical, with_mailbox};
 use super::*;
 use crate::testing::hex;
 use fieldbeat_core::time::MS;
-use fieldbeat_ethercat::wire::frame::Command;
-use fieldbeat_ethercat::wire::registers::{AlState as S, address};
 
 /// The message of the sheet: read 1C00:0.
 const REQUEST: &str = "0A00 0000 00 13 0020 40 001C 00 00000000";
@@ -34,7 +34,7 @@ fn at(state: S) -> Bench {
 fn a_request_and_a_message_stay_until_the_firmware_reads_them_and_no_second_one_is_taken() {
     let mut bench = Bench::new(vec![Settings { reaction_ns: MS, ..with_mailbox() }]);
     bench.set_up(0, 6, 8);
-    bench.control(0, AlStatus::request(S::PreOp));
+    bench.control(0, S::PreOp as u16);
     assert_eq!(bench.read(0, 0x0220), Some([1, 0, 0, 0]));
     assert_eq!(bench.write(0, address::AL_CONTROL, &[1, 0]), 0);
     assert_eq!(bench.state(0), (S::Init, None));
@@ -47,14 +47,14 @@ fn a_request_and_a_message_stay_until_the_firmware_reads_them_and_no_second_one_
     bench.wait(MS);
     assert_eq!(bench.read(0, 0x0805), Some([0x02]));
     assert_eq!(bench.read::<0x400>(0, 0x1C00).unwrap()[..16], [5; 16]);
-    bench.control(0, AlStatus::request(S::Init));
+    bench.control(0, S::Init as u16);
 }
 
 #[test]
 fn preop_needs_the_mailboxes_and_safeop_and_op_process_data_of_the_right_lengths() {
     let mut bench = Bench::new(vec![with_mailbox()]);
-    assert_eq!(bench.go(0, S::PreOp), (S::Init, Some(AlCode(0x0016))));
-    bench.control(0, AlStatus(0x11));
+    assert_eq!(bench.go(0, S::PreOp), (S::Init, Some(0x0016)));
+    bench.control(0, 0x11);
     bench.set_up(0, 6, 8);
     assert_eq!(bench.go(0, S::PreOp), (S::PreOp, None));
     for (outputs, inputs, code) in [
@@ -69,21 +69,21 @@ fn preop_needs_the_mailboxes_and_safeop_and_op_process_data_of_the_right_lengths
     ] {
         let mut bench = at(S::PreOp);
         bench.set_up(0, outputs, inputs);
-        let expected = code.map_or((S::SafeOp, None), |code| (S::PreOp, Some(AlCode(code))));
+        let expected = code.map_or((S::SafeOp, None), |code| (S::PreOp, Some(code)));
         assert_eq!(bench.go(0, S::SafeOp), expected, "{outputs} {inputs}");
     }
     let mut bench = at(S::SafeOp);
     bench.set_up(0, 6, 7);
-    assert_eq!(bench.go(0, S::Op), (S::SafeOp, Some(AlCode(0x001E))));
+    assert_eq!(bench.go(0, S::Op), (S::SafeOp, Some(0x001E)));
 }
 
 #[test]
 fn the_application_refuses_with_its_own_code_or_is_asked_again() {
     let mut bench = at(S::SafeOp);
-    script(&bench).refuses = Some((S::Op, AlCode::SYNCHRONISATION));
-    assert_eq!(bench.go(0, S::Op), (S::SafeOp, Some(AlCode(0x001A))));
-    bench.control(0, AlStatus(0x14));
-    script(&bench).refuses = Some((S::Op, AlCode::NONE));
+    script(&bench).refuses = Some((S::Op, code::SYNCHRONISATION));
+    assert_eq!(bench.go(0, S::Op), (S::SafeOp, Some(0x001A)));
+    bench.control(0, 0x14);
+    script(&bench).refuses = Some((S::Op, code::NONE));
     assert_eq!(bench.go(0, S::Op), (S::SafeOp, None));
     bench.idle(5);
     assert_eq!(bench.state(0), (S::SafeOp, None));
@@ -92,7 +92,7 @@ fn the_application_refuses_with_its_own_code_or_is_asked_again() {
     assert_eq!(bench.state(0), (S::Op, None));
     // Another request ends the waiting.
     bench.go(0, S::SafeOp);
-    script(&bench).refuses = Some((S::Op, AlCode::NONE));
+    script(&bench).refuses = Some((S::Op, code::NONE));
     bench.go(0, S::Op);
     assert_eq!(bench.go(0, S::PreOp), (S::PreOp, None));
     script(&bench).refuses = None;
@@ -103,16 +103,16 @@ fn the_application_refuses_with_its_own_code_or_is_asked_again() {
 #[test]
 fn what_cannot_stay_in_op_falls_back_and_its_outputs_count_no_more() {
     let mut bench = at(S::Op);
-    let image = Command::Lrw(0x1_0000);
+    let image = logical(Lrw, 0x1_0000);
     bench.send(image, &[7; 28]);
     assert_eq!(script(&bench).cycles.last().unwrap().1, [7; 6]);
-    script(&bench).drops = Some(AlCode::SYNCHRONISATION);
+    script(&bench).drops = Some(code::SYNCHRONISATION);
     bench.idle(1);
     assert_eq!(bench.read(0, address::AL_STATUS), Some([0x14, 0, 0, 0, 0x1A, 0]));
     // They are still counted.
-    assert_eq!(bench.send(Command::Lwr(0x1_0000), &[7; 6]).1, 1);
+    assert_eq!(bench.send(logical(Lwr, 0x1_0000), &[7; 6]).1, 1);
     assert!(script(&bench).cycles.last().unwrap().1.is_empty());
-    bench.control(0, AlStatus(0x14));
+    bench.control(0, 0x14);
     assert_eq!(bench.go(0, S::Op), (S::Op, None));
 }
 
@@ -134,7 +134,7 @@ fn a_message_is_answered_once_and_its_places_are_empty_and_full_in_turn() {
     assert!(bench.read::<16>(0, 0x1C00).is_some(), "not read to its end");
     assert_eq!(bench.read::<1>(0, 0x1FFF), Some([0]));
     assert_eq!(bench.read(0, 0x080D), Some([0x02]));
-    assert_eq!(bench.send(Command::Fprd(0x1001, 0x1FFF), &[9]), (vec![9], 0), "the last byte alone too");
+    assert_eq!(bench.send((Fprd, 0x1001, 0x1FFF), &[9]), (vec![9], 0), "the last byte alone too");
 }
 
 #[test]

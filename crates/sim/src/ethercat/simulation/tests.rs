@@ -1,12 +1,12 @@
 mod slaves;
 
+use super::super::codec::registers::address;
+use super::super::codec::sii::word;
 use super::super::testing::Bench;
 use super::*;
+use crate::ethercat::{SiiContent, SiiSettings};
 use fieldbeat_core::time::S;
-use fieldbeat_ethercat::object::Object;
-use fieldbeat_ethercat::object::pdo::Entry;
-use fieldbeat_ethercat::wire::registers::address;
-use fieldbeat_ethercat::wire::sii;
+use fieldbeat_ethercat::{Entry, Type};
 
 /// A drive, nothing, an AKD, and terminals with a mailbox.
 fn segment() -> EthercatSegment {
@@ -32,9 +32,14 @@ fn bench(segment: &EthercatSegment) -> Bench {
     Bench::of(EthercatSim::new(segment).segment)
 }
 
+/// The command to read the SII.
+fn read_of(word: usize) -> [u8; 6] {
+    [0, 1, word as u8, 0, 0, 0]
+}
+
 /// Two words of an EEPROM.
-fn sii(bench: &mut Bench, n: u16, at: u16) -> u32 {
-    assert_eq!(bench.write(n, address::SII_CONTROL, &sii::read(at)), 1);
+fn sii(bench: &mut Bench, n: u16, at: usize) -> u32 {
+    assert_eq!(bench.write(n, address::SII_CONTROL, &read_of(at)), 1);
     bench.wait(SiiSettings::default().busy_ns);
     u32::from_le_bytes(bench.read(n, address::SII_DATA).unwrap())
 }
@@ -43,13 +48,12 @@ fn sii(bench: &mut Bench, n: u16, at: u16) -> u32 {
 fn the_slaves_stand_in_their_places_and_say_who_they_are() {
     let mut bench = bench(&segment());
     assert_eq!(bench.segment.slaves(), 4);
-    let identity =
-        |bench: &mut Bench, n| [sii::word::VENDOR, sii::word::PRODUCT].map(|word| sii(bench, n, word));
+    let identity = |bench: &mut Bench, n| [word::VENDOR, word::PRODUCT].map(|word| sii(bench, n, word));
     assert_eq!(identity(&mut bench, 0), [0x6A, 0x0300_0700], "as the plan expects it");
     assert_eq!(identity(&mut bench, 1), [2, 0x044C_2C52]);
     assert_eq!(identity(&mut bench, 2), [0x6A, 77], "made another one than the plan expects");
     assert_eq!(identity(&mut bench, 3), [2, 5]);
-    let mailbox = [0, 1, 2, 3].map(|n| sii(&mut bench, n, sii::word::MAILBOX_OUT));
+    let mailbox = [0, 1, 2, 3].map(|n| sii(&mut bench, n, word::MAILBOXES));
     assert_eq!(mailbox, [0x0010_1800, 0, 0x0400_1800, 0x0080_1000]);
     let features = [0, 1, 2, 3].map(|n| bench.read(n, address::FEATURES).map(u16::from_le_bytes));
     assert_eq!(features, [0x018C, 0x0180, 0x018C, 0x0180].map(Some));
@@ -81,25 +85,20 @@ fn clocks_delays_and_widths_are_those_of_the_settings() {
 #[test]
 fn a_drive_has_the_pdos_of_its_plan_and_delivers_what_is_left_as_it_is() {
     let mut plan = KollmorgenDrive::new("x", 0, Family::S700);
-    let entry =
-        |index| Entry { object: Object::new(index, 0), kind: Object::new(index, 0).known().unwrap().kind };
-    plan.outputs = Layout { pdo: 0x1704, entries: vec![entry(0x6040), entry(0x606B)] };
+    let entry = |index, kind| Entry { object: fieldbeat_ethercat::Object::new(index, 0), kind };
+    plan.outputs = Layout { pdo: 0x1704, entries: vec![entry(0x6040, Type::U16), entry(0x606B, Type::I32)] };
     plan.fit();
     let usual = DriveSettings::new(plan.family);
     let settings = drive_settings(&plan, usual.clone());
-    let of = |settings: &DriveSettings, pdo| {
-        settings.layouts.iter().filter(|layout| layout.pdo == pdo).cloned().collect::<Vec<_>>()
+    let of = |settings: &DriveSettings, index| {
+        settings.layouts.iter().filter(|pdo| pdo.index == index).cloned().collect::<Vec<_>>()
     };
-    assert_eq!(of(&settings, 0x1704), [plan.outputs.clone()]);
+    assert_eq!(of(&settings, 0x1704), [pdo(&plan.outputs)]);
     assert_eq!(settings.selected, (0x1702, 0x1B03));
     plan.mapping = Mapping::AsIs;
     assert_eq!(drive_settings(&plan, usual.clone()).selected, (0x1704, 0x1B03));
     plan.mapping = Mapping::Free;
-    assert_ne!(
-        of(&drive_settings(&plan, usual.clone()), 0x1704),
-        [plan.outputs.clone()],
-        "the master maps it"
-    );
+    assert_ne!(of(&drive_settings(&plan, usual.clone()), 0x1704), [pdo(&plan.outputs)], "the master maps it");
     // A longer mailbox takes normal and segmented downloads.
     assert_eq!(drive_settings(&plan, usual.clone()).long_sdos, None);
     plan.slave.mailbox = Some([0x1800, 0x1C00].map(|start| Area { start, length: 64 }));

@@ -6,21 +6,21 @@ use super::*;
 fn pdos_are_selected_in_pre_op_only_and_in_the_order_of_the_manual() {
     let mut bench = Bench::pre_op(|_| {});
     assert_eq!(bench.drive.sizes(), (6, 8));
-    assert_eq!(bench.write("0x1C12:1", &[0x03, 0x17]), Err(abort::NOT_ZERO));
-    bench.write("0x1C12:0", &[0]).unwrap();
+    assert_eq!(bench.write(0x1C12, 1, &[0x03, 0x17]), Err(abort::NOT_ZERO));
+    bench.write(0x1C12, 0, &[0]).unwrap();
     assert_eq!(bench.drive.sizes(), (0, 8));
-    assert_eq!(bench.enter(AlState::SafeOp), Err(AlCode::SYNC_MANAGER));
-    assert_eq!(bench.write("0x1C12:1", &[0x03, 0x1B]), Err(AbortCode::RANGE), "an input");
-    assert_eq!(bench.write("0x1C12:1", &[0x25, 0x17]), Err(AbortCode::RANGE), "an AKD's");
-    bench.write("0x1C12:1", &[0, 0]).unwrap();
-    assert_eq!(bench.write("0x1C12:0", &[1]), Err(abort::INCOMPATIBLE));
-    bench.write("0x1C12:1", &[0x03, 0x17]).unwrap();
-    bench.write("0x1C12:0", &[1]).unwrap();
+    assert_eq!(bench.enter(AlState::SafeOp), Err(code::SYNC_MANAGER));
+    assert_eq!(bench.write(0x1C12, 1, &[0x03, 0x1B]), Err(abort::RANGE), "an input");
+    assert_eq!(bench.write(0x1C12, 1, &[0x25, 0x17]), Err(abort::RANGE), "an AKD's");
+    bench.write(0x1C12, 1, &[0, 0]).unwrap();
+    assert_eq!(bench.write(0x1C12, 0, &[1]), Err(abort::INCOMPATIBLE));
+    bench.write(0x1C12, 1, &[0x03, 0x17]).unwrap();
+    bench.write(0x1C12, 0, &[1]).unwrap();
     assert_eq!(bench.drive.sizes(), (4, 8));
     assert_eq!(bench.drive.check_sizes(4, 8), Ok(()));
-    assert_eq!(bench.drive.check_sizes(6, 8), Err(AlCode::SYNC_MANAGER));
+    assert_eq!(bench.drive.check_sizes(6, 8), Err(code::SYNC_MANAGER));
     bench.enter(AlState::SafeOp).unwrap();
-    assert_eq!(bench.write("0x1C12:0", &[0]), Err(AbortCode::STATE));
+    assert_eq!(bench.write(0x1C12, 0, &[0]), Err(abort::STATE));
 }
 
 #[test]
@@ -30,22 +30,22 @@ fn a_fixed_pdo_says_what_it_is_made_of_and_stays_so() {
         (0x1702, 0, Ok(vec![2])),
         (0x1702, 1, Ok(vec![32, 0, 0x6B, 0x60])),
         (0x1702, 2, Ok(vec![16, 0, 0x40, 0x60])),
-        (0x1702, 3, Err(AbortCode::NO_SUB)),
-        (0x1705, 0, Err(AbortCode::NO_OBJECT)),
+        (0x1702, 3, Err(abort::NO_SUB)),
+        (0x1705, 0, Err(abort::NO_OBJECT)),
     ] {
         assert_eq!(bench.bytes(index, sub), expected, "{index:#06x}:{sub}");
     }
-    assert_eq!(bench.write("0x1702:0", &[0]), Err(AbortCode::READ_ONLY));
+    assert_eq!(bench.write(0x1702, 0, &[0]), Err(abort::READ_ONLY));
 }
 
 #[test]
 fn an_akd_distinguishes_wrong_lengths_and_has_mode_8() {
     let mut bench = Bench::of(Family::Akd, |_| {});
     bench.enter(AlState::PreOp).unwrap();
-    assert_eq!(bench.drive.check_sizes(5, 6), Err(AlCode(0x001D)));
-    assert_eq!(bench.drive.check_sizes(6, 5), Err(AlCode(0x001E)));
-    assert_eq!(bench.write("0x6060:0", &[0x85]), Err(AbortCode::RANGE));
-    bench.write("0x6060:0", &[8]).unwrap();
+    assert_eq!(bench.drive.check_sizes(5, 6), Err(0x001D));
+    assert_eq!(bench.drive.check_sizes(6, 5), Err(0x001E));
+    assert_eq!(bench.write(0x6060, 0, &[0x85]), Err(abort::RANGE));
+    bench.write(0x6060, 0, &[8]).unwrap();
     bench.select(0x1C12, 0x1724);
     bench.select(0x1C13, 0x1B20);
     bench.go_to_op();
@@ -63,12 +63,12 @@ fn an_akd_distinguishes_wrong_lengths_and_has_mode_8() {
 #[test]
 fn a_mapped_object_is_refused_from_safeop_on_and_complete_access_always() {
     let mut bench = Bench::pre_op(|_| {});
-    assert_eq!(bench.write("0x6040:0", &[6, 0]), Ok(()), "it is stored, and obeyed by nobody");
+    assert_eq!(bench.write(0x6040, 0, &[6, 0]), Ok(()), "it is stored, and obeyed by nobody");
     bench.go_to_op();
-    assert_eq!(bench.write("0x6040:0", &[6, 0]), Err(abort::MAPPED));
+    assert_eq!(bench.write(0x6040, 0, &[6, 0]), Err(abort::MAPPED));
     assert_eq!(bench.drive.axis_state(), State::SwitchOnDisabled);
-    let complete = Request::Upload { object: Object::new(0x1C00, 0), complete: true };
-    assert_eq!(bench.ask(&complete), Err(AbortCode::NOT_COMPLETE));
+    let types = Object::new(0x1C00, 0);
+    assert_eq!(bench.ask(0x50, types, [0; 4]), Err(abort::NOT_COMPLETE));
 }
 
 #[test]
@@ -80,37 +80,37 @@ fn the_mailbox_is_off_in_init_and_speaks_both_dialects() {
     bench.enter(AlState::PreOp).unwrap();
     assert!(bench.drive.mailbox(&select, &mut reply));
     assert_eq!(reply, [0x0E, 0, 0, 0, 0, 0x03, 0, 0x20, 0x60, 0x12, 0x1C, 0, 0, 0, 0, 0]);
-    assert_eq!(bench.read("0x1018:1"), Ok(0x6A));
+    assert_eq!(bench.read(0x1018, 1), Ok(0x6A));
 }
 
 #[test]
 fn the_master_maps_its_own_pdo_and_the_drive_obeys_it() {
     let mut bench = Bench::pre_op(|_| {});
-    bench.write("0x1C12:0", &[0]).unwrap();
-    assert_eq!(bench.write("0x1C12:1", &[0x00, 0x16]), Err(AbortCode::RANGE), "it is empty");
-    assert_eq!(bench.write("0x1600:1", &[16, 0, 0x41, 0x60]), Err(abort::NOT_MAPPABLE), "read only");
-    bench.write("0x1600:1", &[16, 0, 0x40, 0x60]).unwrap();
-    bench.write("0x1600:2", &[32, 1, 0xC1, 0x60]).unwrap();
-    bench.write("0x1600:0", &[2]).unwrap();
+    bench.write(0x1C12, 0, &[0]).unwrap();
+    assert_eq!(bench.write(0x1C12, 1, &[0x00, 0x16]), Err(abort::RANGE), "it is empty");
+    assert_eq!(bench.write(0x1600, 1, &[16, 0, 0x41, 0x60]), Err(abort::NOT_MAPPABLE), "read only");
+    bench.write(0x1600, 1, &[16, 0, 0x40, 0x60]).unwrap();
+    bench.write(0x1600, 2, &[32, 1, 0xC1, 0x60]).unwrap();
+    bench.write(0x1600, 0, &[2]).unwrap();
     // Its count is set; there is no third entry, no ninth one, and no fifth PDO.
     for (object, data, code) in [
-        ("0x1600:1", &[16, 0, 0x40, 0x60][..], abort::NOT_ZERO),
-        ("0x1600:0", &[3], abort::NOT_MAPPABLE),
-        ("0x1600:0", &[9], abort::HIGH),
-        ("0x1600:0", &[2, 0], AbortCode::LENGTH),
-        ("0x1600:9", &[0; 4], AbortCode::NO_SUB),
-        ("0x1604:0", &[0], AbortCode::NO_OBJECT),
+        ((0x1600, 1), &[16, 0, 0x40, 0x60][..], abort::NOT_ZERO),
+        ((0x1600, 0), &[3], abort::NOT_MAPPABLE),
+        ((0x1600, 0), &[9], abort::HIGH),
+        ((0x1600, 0), &[2, 0], abort::LENGTH),
+        ((0x1600, 9), &[0; 4], abort::NO_SUB),
+        ((0x1604, 0), &[0], abort::NO_OBJECT),
     ] {
-        assert_eq!(bench.write(object, data), Err(code), "{object}");
+        assert_eq!(bench.write(object.0, object.1, data), Err(code), "{object:?}");
     }
     assert_eq!([bench.bytes(0x1600, 0), bench.bytes(0x1A03, 0)], [Ok(vec![2]), Ok(vec![0])]);
     bench.select(0x1C12, 0x1600);
     assert_eq!(bench.drive.sizes(), (6, 8));
-    assert_eq!(bench.write("0x1600:0", &[0]), Err(abort::INCOMPATIBLE), "it is selected");
+    assert_eq!(bench.write(0x1600, 0, &[0]), Err(abort::INCOMPATIBLE), "it is selected");
     assert_eq!(bench.bytes(0x1600, 2), Ok(vec![32, 1, 0xC1, 0x60]));
     bench.go_to_op();
-    assert_eq!(bench.write("0x1A00:0", &[0]), Err(AbortCode::STATE));
-    assert_eq!(bench.write("0x60C1:1", &[0; 4]), Err(abort::MAPPED));
+    assert_eq!(bench.write(0x1A00, 0, &[0]), Err(abort::STATE));
+    assert_eq!(bench.write(0x60C1, 1, &[0; 4]), Err(abort::MAPPED));
     for word in [6, 7] {
         bench.outputs = vec![word, 0, 0, 0, 0, 0];
         bench.cycle();
@@ -139,19 +139,4 @@ fn a_long_name_is_read_by_its_mailbox_whole() {
         assert_eq!(reply[..16], *head);
         assert_eq!(&reply[16..], name.unwrap_or(&bench.drive.settings.name).as_bytes());
     }
-}
-
-#[test]
-fn what_nobody_asked_for_comes_in_its_pauses_and_holds_up_no_answer() {
-    let mut drive = Bench::of(Family::Akd, |settings| settings.unrequested_ns = Some(10 * MS)).drive;
-    let mut reply = Vec::new();
-    drive.advance(Time(S));
-    assert!(!drive.message(&mut reply), "not in INIT");
-    drive.may_enter(Time(S), AlState::PreOp).unwrap();
-    assert!(drive.message(&mut reply) && reply[5] == 2);
-    assert!(!drive.message(&mut reply));
-    drive.advance(Time(S + 10 * MS));
-    let request = [10, 0, 0, 0, 0, 0x13, 0, 0x20, 0x40, 0, 0x10, 0, 0, 0, 0, 0];
-    assert!(drive.mailbox(&request, &mut reply) && reply[8] == 0x43, "the answer first");
-    assert!(drive.message(&mut reply) && reply[5] == 2);
 }

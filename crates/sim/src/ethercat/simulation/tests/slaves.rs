@@ -1,12 +1,11 @@
 //! Slaves that are not like the usual ones, register by register.
 
-use super::super::super::testing::Bench;
+use super::super::super::codec::frame::Command::*;
+use super::super::super::codec::registers::AlState as S;
+use super::super::super::testing::{Bench, logical};
 use super::*;
-use crate::ethercat::{Behind, MailboxSettings, Misuse, SiiContent};
+use crate::ethercat::{Behind, MailboxSettings, Misuse};
 use crate::testing::hex;
-use fieldbeat_ethercat::wire::frame::Command;
-use fieldbeat_ethercat::wire::registers::{AlCode, AlState as S, AlStatus, address};
-use fieldbeat_ethercat::wire::sii::word;
 
 const DIGITAL_OUTPUT: u16 = 0x0F00;
 
@@ -37,8 +36,8 @@ fn drive(own: SlaveSettings) -> Bench {
 }
 
 /// Requests a state and waits for the firmware.
-fn go(bench: &mut Bench, state: S) -> (S, Option<AlCode>) {
-    bench.control(0, AlStatus::request(state));
+fn go(bench: &mut Bench, state: S) -> (S, Option<u16>) {
+    bench.control(0, state as u16);
     bench.wait(MS);
     bench.state(0)
 }
@@ -62,34 +61,37 @@ fn without_a_processor_al_status_is_what_al_control_says() {
     for (control, status) in
         [(0x11, 0x11), (0x01, 0x01), (0x08, 0x08), (0x12, 0x12), (0x02, 0x02), (0x0104, 0x04)]
     {
-        bench.control(0, AlStatus(control));
+        bench.control(0, control);
         assert_eq!(bench.read(0, address::AL_STATUS), Some([status, 0, 0, 0, 0, 0]), "{control:#x}");
     }
     assert_eq!(bench.segment.slave(0).unwrap().state(), S::SafeOp);
     // A drive has one, and refuses.
     let mut drive = drive(SlaveSettings::default());
     assert_eq!(drive.read(0, 0x0140), Some([0x08, 0x00]));
-    assert_eq!(go(&mut drive, S::Op), (S::Init, Some(AlCode(0x0011))));
+    assert_eq!(go(&mut drive, S::Op), (S::Init, Some(0x0011)));
 }
 
 #[test]
 fn a_digital_output_terminal_moves_its_own_bits_in_op_only_and_until_its_watchdog() {
     let mut bench = row([model(Model::El2008)]);
     assert_eq!(bench.write(0, address::sync_manager(0), &[0x00, 0x0F, 1, 0, 0x44, 0, 1, 0]), 1);
-    assert_eq!(bench.write(0, address::fmmu(0), &Fmmu::bytes(0, 1, DIGITAL_OUTPUT, true).to_bytes()), 1);
+    assert_eq!(
+        bench.write(0, address::fmmu(0), &Fmmu::bytes(0, 1, DIGITAL_OUTPUT, Fmmu::WRITE).to_bytes()),
+        1
+    );
     let driven = |bench: &mut Bench, byte: u8| {
-        assert_eq!(bench.send(Command::Lwr(0), &[byte]).1, 1, "no processor locks it");
+        assert_eq!(bench.send(logical(Lwr, 0), &[byte]).1, 1, "no processor locks it");
         bench.segment.slave(0).unwrap().driven().to_vec()
     };
     assert_eq!(driven(&mut bench, 0xA5), [0; 0]);
     for state in [S::PreOp, S::SafeOp] {
-        bench.control(0, AlStatus::request(state));
-        assert_eq!(driven(&mut bench, 0xA5), [0; 0], "{state}");
+        bench.control(0, state as u16);
+        assert_eq!(driven(&mut bench, 0xA5), [0; 0], "{state:?}");
     }
-    bench.control(0, AlStatus::request(S::Op));
+    bench.control(0, S::Op as u16);
     assert_eq!(driven(&mut bench, 0xA5), [0xA5]);
     bench.wait(100 * MS);
-    bench.send(Command::Nop, &[]);
+    bench.send((Nop, 0, 0), &[]);
     assert_eq!(bench.segment.slave(0).unwrap().driven(), [0; 0]);
     assert_eq!(bench.read(0, address::AL_STATUS), Some([8, 0, 0, 0, 0, 0]), "nothing reports it");
     assert_eq!(driven(&mut bench, 0x5A), [0x5A]);
@@ -109,19 +111,19 @@ fn a_strict_processor_compares_each_byte_of_its_sync_managers() {
         let mut bench = drive(strict(control));
         manage(&mut bench, set, inputs);
         assert_eq!(go(&mut bench, S::PreOp), (S::PreOp, None));
-        let expected = code.map_or((S::SafeOp, None), |code| (S::PreOp, Some(AlCode(code))));
+        let expected = code.map_or((S::SafeOp, None), |code| (S::PreOp, Some(code)));
         assert_eq!(go(&mut bench, S::SafeOp), expected, "{control:?} {set:#x} {inputs:#x}");
     }
     let mut bench = drive(strict(None));
     manage(&mut bench, 0x64, 0x20);
     // With an interrupt.
     bench.manage(0, 0, &[0x00, 0x18, 16, 0, 0x36, 0, 1, 0]);
-    assert_eq!(go(&mut bench, S::PreOp), (S::Init, Some(AlCode(0x0016))));
+    assert_eq!(go(&mut bench, S::PreOp), (S::Init, Some(0x0016)));
 }
 
 /// Reads two words of the SII, as far as it answers.
-fn words(bench: &mut Bench, at: u16) -> Option<u32> {
-    (bench.write(0, address::SII_CONTROL, &sii::read(at)) == 1).then_some(())?;
+fn words(bench: &mut Bench, at: usize) -> Option<u32> {
+    (bench.write(0, address::SII_CONTROL, &read_of(at)) == 1).then_some(())?;
     bench.wait(MS);
     bench.read(0, address::SII_DATA).map(u32::from_le_bytes)
 }
@@ -136,21 +138,21 @@ fn own_sii(change: impl FnOnce(&mut SiiSettings)) -> SlaveSettings {
 fn an_sii_that_the_processor_has_or_needs_is_given_by_force_or_back() {
     let mut bench = drive(own_sii(|sii| sii.owned_by_slave = true));
     assert_eq!(words(&mut bench, word::VENDOR), None);
-    bench.write(0, address::SII_OWNER, &[sii::MASTER]);
+    bench.write(0, address::SII_OWNER, &[0]);
     assert_eq!(words(&mut bench, word::VENDOR), None, "it is held");
-    bench.write(0, address::SII_OWNER, &[sii::FORCE]);
-    bench.write(0, address::SII_OWNER, &[sii::MASTER]);
+    bench.write(0, address::SII_OWNER, &[2]);
+    bench.write(0, address::SII_OWNER, &[0]);
     assert_eq!(words(&mut bench, word::VENDOR), Some(0x6A));
 
     let mut bench = drive(own_sii(|sii| sii.read_in_preop = true));
     manage(&mut bench, 0x64, 0x20);
     assert_eq!(words(&mut bench, word::VENDOR), Some(0x6A));
-    assert_eq!(go(&mut bench, S::PreOp), (S::Init, Some(AlCode(0x0050))));
-    bench.control(0, AlStatus(0x11));
+    assert_eq!(go(&mut bench, S::PreOp), (S::Init, Some(0x0050)));
+    bench.control(0, 0x11);
     bench.wait(MS);
     bench.write(0, address::SII_OWNER, &[1]);
     assert_eq!(go(&mut bench, S::PreOp), (S::PreOp, None));
-    bench.write(0, address::SII_OWNER, &[sii::MASTER]);
+    bench.write(0, address::SII_OWNER, &[0]);
     assert_eq!(words(&mut bench, word::VENDOR), None, "the processor keeps it");
 }
 
@@ -164,7 +166,7 @@ fn an_sii_is_busy_at_first_slips_once_and_may_be_wrong() {
 
     let mut bench = drive(own_sii(|sii| (sii.slips, sii.eight) = (true, true)));
     let read = |bench: &mut Bench| {
-        bench.write(0, address::SII_CONTROL, &sii::read(word::VENDOR));
+        bench.write(0, address::SII_CONTROL, &read_of(word::VENDOR));
         bench.wait(MS);
         bench.read::<14>(0, address::SII_CONTROL)
     };
@@ -200,7 +202,7 @@ fn a_slave_that_another_master_left_has_all_that_it_set() {
         station: 0x1003,
         alias_on: true,
         al: (0x14, 0x001B),
-        fmmus: vec![Fmmu::bytes(0x1_0000, 6, 0x1100, true).to_bytes()],
+        fmmus: vec![Fmmu::bytes(0x1_0000, 6, 0x1100, Fmmu::WRITE).to_bytes()],
         managers: vec![[0x00, 0x18, 16, 0, 0x26, 0, 1, 0], [0x00, 0x1C, 16, 0, 0x22, 0, 1, 0]],
         unwatched: true,
         sync0_ns: Some(1_000_000),
@@ -210,19 +212,19 @@ fn a_slave_that_another_master_left_has_all_that_it_set() {
     let mut sim = EthercatSim::new(&drive_of(SlaveSettings { left: Some(left), ..SlaveSettings::default() }));
     assert_eq!(sim.drive(0).unwrap().al_state(), S::SafeOp);
     let mut bench = Bench::left(std::mem::replace(sim.segment(), Segment::new(Vec::new())));
-    let at = |bench: &mut Bench, ado| bench.send(Command::Fprd(0x1003, ado), &[0; 8]);
+    let at = |bench: &mut Bench, ado| bench.send((Fprd, 0x1003, ado), &[0; 8]);
     assert_eq!(at(&mut bench, address::AL_STATUS), (vec![0x14, 0, 0, 0, 0x1B, 0, 0, 0], 1));
     assert_eq!(at(&mut bench, address::SYNC_MANAGER).0[..6], [0x00, 0x18, 16, 0, 0x26, 0]);
     assert_eq!(at(&mut bench, address::FMMU).0, [0, 0, 1, 0, 6, 0, 0, 7]);
     assert_eq!(at(&mut bench, address::WATCHDOG).0[..2], [0, 0]);
     assert_eq!(at(&mut bench, address::DC_CONTROL).0[..2], [0, 3]);
     assert_eq!(at(&mut bench, 0x0103).0[0], 1);
-    assert_eq!(bench.send(Command::Fpwr(0x1003, address::SII_CONTROL), &sii::read(8)).1, 0);
+    assert_eq!(bench.send((Fpwr, 0x1003, address::SII_CONTROL), &read_of(8)).1, 0);
     // A power cycle clears it.
     let now = bench.now;
     bench.segment.slave(0).unwrap().restart(now);
-    assert_eq!(bench.send(Command::Aprd(0, address::STATION), &[0; 2]), (vec![0, 0], 1));
-    assert_eq!(bench.send(Command::Aprd(0, address::AL_STATUS), &[0; 2]), (vec![1, 0], 1));
+    assert_eq!(bench.send((Aprd, 0, address::STATION), &[0; 2]), (vec![0, 0], 1));
+    assert_eq!(bench.send((Aprd, 0, address::AL_STATUS), &[0; 2]), (vec![1, 0], 1));
 }
 
 #[test]
@@ -279,7 +281,7 @@ fn an_answer_is_lost_and_a_repeat_acknowledged_without_one() {
     assert!(fetch(&mut bench).is_some());
     bench.write(0, 0x080E, &[3]);
     bench.wait(MS);
-    bench.send(Command::Nop, &[]);
+    bench.send((Nop, 0, 0), &[]);
     assert_eq!((bench.read(0, 0x080F), fetch(&mut bench)), (Some([2]), None));
     post(&mut bench, NEXT);
     assert_eq!(fetch(&mut bench), None, "lost");
@@ -302,14 +304,14 @@ fn outputs_are_seen_at_the_inputs_that_they_are_wired_to() {
     let mut bench = row([model(Model::El1004), outputs]);
     assert_eq!(bench.write(0, address::sync_manager(0), &[0x00, 0x10, 1, 0, 0x00, 0, 1, 0]), 1);
     assert_eq!(bench.write(1, address::sync_manager(0), &[0x00, 0x0F, 1, 0, 0x44, 0, 1, 0]), 1);
-    bench.control(1, AlStatus::request(S::Op));
+    bench.control(1, S::Op as u16);
     let mut seen = |byte: u8| {
         assert_eq!(bench.write(1, DIGITAL_OUTPUT, &[byte]), 1);
         bench.read(0, 0x1000)
     };
     assert_eq!([seen(0xA5), seen(0x0A)], [[0x05], [0x0A]].map(Some), "it has four inputs");
-    bench.control(1, AlStatus::request(S::PreOp));
-    bench.send(Command::Nop, &[]);
+    bench.control(1, S::PreOp as u16);
+    bench.send((Nop, 0, 0), &[]);
     assert_eq!(bench.read(0, 0x1000), Some([0]));
 }
 
@@ -330,7 +332,7 @@ fn an_analogue_terminal_has_objects_and_inputs_that_live() {
         message.resize(128, 0);
         assert_eq!(bench.write(0, 0x1000, &message), 1);
         bench.wait(MS);
-        bench.send(Command::Nop, &[]);
+        bench.send((Nop, 0, 0), &[]);
         let answer: [u8; 128] = bench.read(0, 0x1080).unwrap();
         answer[8..22].to_vec()
     };
@@ -369,7 +371,7 @@ fn a_branch_shows_its_links_and_when_a_frame_was_at_each_port() {
     let mut bench = row([model(Model::Ek1100), model(Model::El2008), far]);
     assert_eq!(bench.read(0, 0x0007), Some([0x3B]), "MII, EBUS, EBUS or MII, none");
     assert_eq!(bench.read(0, address::LINKS).map(u16::from_le_bytes), Some(0b0110_1010_0111_0000));
-    bench.send(Command::Bwr(address::DC_PORTS), &[0; 4]);
+    bench.send((Bwr, 0, address::DC_PORTS), &[0; 4]);
     let times: [u8; 16] = bench.read(0, address::DC_PORTS).unwrap();
     let times: Vec<u32> = times.chunks(4).map(|time| u32::from_le_bytes(time.try_into().unwrap())).collect();
     let since = |port: usize| times[port].wrapping_sub(times[0]);
@@ -382,11 +384,11 @@ fn what_a_master_should_not_do_is_counted() {
     let misuse = |bench: &mut Bench| bench.segment.slave(0).unwrap().misuse();
     bench.write(0, 0x0101, &[0]);
     bench.write(0, 0x0103, &[0]);
-    bench.control(0, AlStatus(0x01));
+    bench.control(0, 0x01);
     assert_eq!(misuse(&mut bench), Misuse::default());
     bench.write(0, 0x0101, &[0; 3]);
     bench.write(0, 0x1000, &[7]);
-    bench.control(0, AlStatus(0x11));
+    bench.control(0, 0x11);
     let manager = |bench: &mut Bench, length| {
         bench.write(0, address::sync_manager(0), &[0, 0x0F, length, 0, 0x44, 0, 1, 0])
     };
@@ -395,7 +397,7 @@ fn what_a_master_should_not_do_is_counted() {
     let counted = Misuse { fifo_sizes: 1, needless_acknowledges: 1, locked_managers: 1, early_writes: 1 };
     assert_eq!(misuse(&mut bench), counted);
     // Off, and then as wanted.
-    bench.send(Command::Bwr(address::SYNC_MANAGER), &[0; 8]);
+    bench.send((Bwr, 0, address::SYNC_MANAGER), &[0; 8]);
     manager(&mut bench, 2);
     assert_eq!(bench.read(0, address::SYNC_MANAGER), Some([0, 0x0F, 2, 0]));
     assert_eq!(misuse(&mut bench), counted);
