@@ -12,7 +12,7 @@ use fieldbeat::bus::ethercat::{
     Area, Device, EthercatPlan, Expected, Family, KollmorgenDrive, Owner, SlavePlan, Watchdog,
 };
 use fieldbeat::sim::SimSegment;
-use fieldbeat::sim::ethercat::{EthercatSegment, EthercatSim, Model, SlaveSettings};
+use fieldbeat::sim::ethercat::{EthercatSegment, EthercatSim, Identity, Model, SlaveSettings};
 use fieldbeat::time::{MS, Time};
 use fieldbeat_core::bus::cia402::StatusWord;
 use fieldbeat_core::net::frames::{MAC, Unsent};
@@ -96,7 +96,11 @@ fn device(place: u16, model: Model) -> Device {
 pub fn simulated(plan: &EthercatPlan) -> EthercatSegment {
     let mut segment = EthercatSegment::from(plan);
     for Device { slave, .. } in &plan.devices {
-        let is_it = |(_, model): &&(&str, Model)| slave.identity.is(model.identity());
+        let Expected { vendor, product, .. } = slave.identity;
+        let is_it = |(_, model): &&(&str, Model)| {
+            let own = model.identity();
+            (vendor, product) == (Some(own.vendor), Some(own.product))
+        };
         let model = Model::ALL.iter().find(is_it).map(|(_, model)| *model);
         segment.settings.slaves.insert(slave.place, SlaveSettings { model, ..SlaveSettings::default() });
     }

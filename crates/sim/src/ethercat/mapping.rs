@@ -57,7 +57,7 @@ impl Mapping {
         let pdo = self.0.iter_mut().find(|(_, pdo)| pdo.index == object.index);
         let (entries, pdo) = pdo.ok_or(abort::NO_OBJECT)?;
         let entry = |raw: u32| {
-            let (object, bits) = (Object::new((raw >> 16) as u16, (raw >> 8) as u8), raw as u8);
+            let (object, bits) = (Object::of(raw >> 8), raw as u8);
             let fits = kind(object).is_some_and(|kind| 8 * kind.bytes() == usize::from(bits));
             if fits { Ok((object, bits)) } else { Err(abort::NOT_MAPPABLE) }
         };

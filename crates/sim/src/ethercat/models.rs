@@ -44,58 +44,48 @@ pub enum Model {
     El3102,
 }
 
+/// A model, its name, product code and revision, its digital outputs and inputs.
+type Row = (Model, &'static str, u32, u32, (u8, u8));
+
+const ROWS: [Row; 11] = [
+    (Model::Ek1100, "EK1100", 0x044C_2C52, 0x0011_0000, (0, 0)),
+    (Model::Ek1122, "EK1122", 0x0462_2C52, 0x0012_0000, (0, 0)),
+    (Model::El1002, "EL1002", 0x03EA_3052, 0x0010_0000, (0, 2)),
+    (Model::El1004, "EL1004", 0x03EC_3052, 0x0010_0000, (0, 4)),
+    (Model::El1008, "EL1008", 0x03F0_3052, 0x0010_0000, (0, 8)),
+    (Model::El1809, "EL1809", 0x0711_3052, 0x0011_0000, (0, 16)),
+    (Model::El2002, "EL2002", 0x07D2_3052, 0x0010_0000, (2, 0)),
+    (Model::El2004, "EL2004", 0x07D4_3052, 0x0010_0000, (4, 0)),
+    (Model::El2008, "EL2008", 0x07D8_3052, 0x0010_0000, (8, 0)),
+    (Model::El2809, "EL2809", 0x0AF9_3052, 0x0011_0000, (16, 0)),
+    (Model::El3102, "EL3102", 0x0C1E_3052, 0x0012_0000, (0, 0)),
+];
+
 impl Model {
     /// All of them, by their names in a configuration.
-    pub const ALL: [(&'static str, Model); 11] = [
-        ("EK1100", Model::Ek1100),
-        ("EK1122", Model::Ek1122),
-        ("EL1002", Model::El1002),
-        ("EL1004", Model::El1004),
-        ("EL1008", Model::El1008),
-        ("EL1809", Model::El1809),
-        ("EL2002", Model::El2002),
-        ("EL2004", Model::El2004),
-        ("EL2008", Model::El2008),
-        ("EL2809", Model::El2809),
-        ("EL3102", Model::El3102),
-    ];
+    pub const ALL: [(&'static str, Model); ROWS.len()] = {
+        let mut all = [("", Model::Ek1100); ROWS.len()];
+        let mut n = 0;
+        while n < all.len() {
+            all[n] = (ROWS[n].1, ROWS[n].0);
+            n += 1;
+        }
+        all
+    };
+
+    fn row(self) -> Row {
+        ROWS[self as usize]
+    }
 
     /// Its name.
     pub fn name(self) -> &'static str {
-        Model::ALL.iter().find(|(_, model)| *model == self).map_or("", |(name, _)| name)
+        self.row().1
     }
 
     /// Its identity.
     pub fn identity(self) -> Identity {
-        let (product, revision) = match self {
-            Model::Ek1100 => (0x044C_2C52, 0x0011_0000),
-            Model::Ek1122 => (0x0462_2C52, 0x0012_0000),
-            Model::El1002 => (0x03EA_3052, 0x0010_0000),
-            Model::El1004 => (0x03EC_3052, 0x0010_0000),
-            Model::El1008 => (0x03F0_3052, 0x0010_0000),
-            Model::El1809 => (0x0711_3052, 0x0011_0000),
-            Model::El2002 => (0x07D2_3052, 0x0010_0000),
-            Model::El2004 => (0x07D4_3052, 0x0010_0000),
-            Model::El2008 => (0x07D8_3052, 0x0010_0000),
-            Model::El2809 => (0x0AF9_3052, 0x0011_0000),
-            Model::El3102 => (0x0C1E_3052, 0x0012_0000),
-        };
+        let (_, _, product, revision, _) = self.row();
         Identity { vendor: BECKHOFF, product, revision }
-    }
-
-    /// Its digital channels: outputs, inputs.
-    fn channels(self) -> (u8, u8) {
-        match self {
-            Model::Ek1100 | Model::Ek1122 | Model::El3102 => (0, 0),
-            Model::El1002 => (0, 2),
-            Model::El1004 => (0, 4),
-            Model::El1008 => (0, 8),
-            Model::El1809 => (0, 16),
-            Model::El2002 => (2, 0),
-            Model::El2004 => (4, 0),
-            Model::El2008 => (8, 0),
-            Model::El2809 => (16, 0),
-        }
     }
 
     /// It has no processor.
@@ -114,7 +104,7 @@ impl Model {
 
     /// Its digital terminals.
     pub(super) fn terminals(self) -> Coupler {
-        let (outputs, inputs) = self.channels();
+        let (outputs, inputs) = self.row().4;
         let digital = |digital| Terminals { digital, analogue: 0 };
         Coupler { outputs: digital(outputs), inputs: digital(inputs) }
     }
@@ -125,7 +115,7 @@ impl Model {
         if self == Model::El3102 {
             return analogue(contents);
         }
-        let (outputs, inputs) = self.channels();
+        let (outputs, inputs) = self.row().4;
         let mut managers: Vec<_> = (0..u16::from(outputs).div_ceil(8))
             .map(|n| SyncManager::on(DIGITAL_OUTPUTS + n, 1, DIGITAL))
             .collect();

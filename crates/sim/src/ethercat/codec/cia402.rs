@@ -3,7 +3,6 @@
 use fieldbeat_core::axis::State;
 
 /// Bits of the control word.
-#[expect(missing_docs)]
 pub mod control {
     /// Starts a motion, or homing; in the interpolated mode: setpoints count.
     pub const START: u16 = 1 << 4;
@@ -14,7 +13,6 @@ pub mod control {
 }
 
 /// Bits of the status word that do not belong to the state.
-#[expect(missing_docs)]
 pub mod status {
     pub const VOLTAGE: u16 = 1 << 4;
     pub const WARNING: u16 = 1 << 7;

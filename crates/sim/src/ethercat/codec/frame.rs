@@ -29,7 +29,6 @@ const MORE: u16 = 1 << 15;
 /// The commands of a datagram.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
-#[expect(missing_docs)]
 pub enum Command {
     Nop,
     Aprd,

@@ -29,7 +29,6 @@ const LAST: u8 = 0x01;
 const SEGMENT: usize = 7;
 
 /// Why a message cannot be used at all: the code of a mailbox error.
-#[expect(missing_docs)]
 pub mod refusal {
     pub const PROTOCOL: u16 = 2;
     pub const SERVICE: u16 = 4;
@@ -38,7 +37,6 @@ pub mod refusal {
 }
 
 /// Abort codes.
-#[expect(missing_docs)]
 pub mod abort {
     pub const TOGGLE: u32 = 0x0503_0000;
     pub const COMMAND: u32 = 0x0504_0001;

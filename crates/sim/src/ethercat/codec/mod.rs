@@ -14,6 +14,8 @@
 //!
 //! All numbers are little-endian but the Ethertype.
 
+#![expect(missing_docs, reason = "names are those of the documents")]
+
 pub mod cia402;
 pub mod frame;
 pub mod mailbox;

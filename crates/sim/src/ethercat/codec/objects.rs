@@ -16,6 +16,11 @@ impl Object {
     pub const fn new(index: u16, sub: u8) -> Object {
         Object { index, sub }
     }
+
+    /// The same of one number, as in the entry of a PDO: the subindex is the low byte.
+    pub const fn of(number: u32) -> Object {
+        Object { index: (number >> 8) as u16, sub: number as u8 }
+    }
 }
 
 /// The assignment of output PDOs, and of input PDOs.
@@ -23,61 +28,34 @@ pub const OUTPUT_PDO: u16 = 0x1C12;
 /// See [`OUTPUT_PDO`].
 pub const INPUT_PDO: u16 = 0x1C13;
 
-/// Objects that a drive evaluates or shows.
-#[expect(missing_docs)]
-pub mod number {
-    use super::Object;
+macro_rules! numbers {
+    ($($name:ident = $index:literal, $sub:literal;)*) => {
+        /// Objects that a drive evaluates or shows.
+        pub mod number {
+            use super::Object;
 
-    pub const ERROR_REGISTER: Object = Object::new(0x1001, 0);
-    pub const MANUFACTURER_STATUS: Object = Object::new(0x1002, 0);
-    pub const ERROR_COUNT: Object = Object::new(0x1003, 0);
-    pub const LAST_ERROR: Object = Object::new(0x1003, 1);
-    pub const DEVICE_NAME: Object = Object::new(0x1008, 0);
-    pub const OUTPUT_CYCLE: Object = Object::new(0x1C32, 2);
-    pub const INPUT_CYCLE: Object = Object::new(0x1C33, 2);
-    pub const POSITION_2: Object = Object::new(0x2050, 0);
-    pub const INCREMENTAL_SPEED: Object = Object::new(0x2070, 2);
-    pub const CYCLE_TIME: Object = Object::new(0x35D5, 1);
-    pub const ERROR_CODE: Object = Object::new(0x603F, 0);
-    pub const CONTROL_WORD: Object = Object::new(0x6040, 0);
-    pub const STATUS_WORD: Object = Object::new(0x6041, 0);
-    pub const MODE: Object = Object::new(0x6060, 0);
-    pub const MODE_DISPLAY: Object = Object::new(0x6061, 0);
-    pub const INCREMENTS: Object = Object::new(0x6063, 0);
-    pub const POSITION: Object = Object::new(0x6064, 0);
-    pub const FOLLOWING_WINDOW: Object = Object::new(0x6065, 0);
-    pub const VELOCITY_SETPOINT: Object = Object::new(0x606B, 0);
-    pub const VELOCITY: Object = Object::new(0x606C, 0);
-    pub const TARGET_TORQUE: Object = Object::new(0x6071, 0);
-    pub const MAXIMUM_TORQUE: Object = Object::new(0x6072, 0);
-    pub const CURRENT_SETPOINT: Object = Object::new(0x6074, 0);
-    pub const TORQUE: Object = Object::new(0x6077, 0);
-    pub const TARGET_POSITION: Object = Object::new(0x607A, 0);
-    pub const HOME_OFFSET: Object = Object::new(0x607C, 0);
-    pub const MAXIMUM_VELOCITY: Object = Object::new(0x607F, 0);
-    pub const MAXIMUM_SPEED: Object = Object::new(0x6080, 0);
-    pub const PROFILE_VELOCITY: Object = Object::new(0x6081, 0);
-    pub const ACCELERATION: Object = Object::new(0x6083, 0);
-    pub const DECELERATION: Object = Object::new(0x6084, 0);
-    pub const FEED: Object = Object::new(0x6092, 1);
-    pub const FEED_TURNS: Object = Object::new(0x6092, 2);
-    pub const FACTOR: Object = Object::new(0x6093, 1);
-    pub const DIVISOR: Object = Object::new(0x6093, 2);
-    pub const HOMING_METHOD: Object = Object::new(0x6098, 0);
-    pub const HOMING_SPEED: Object = Object::new(0x6099, 1);
-    pub const HOMING_ACCELERATION: Object = Object::new(0x609A, 0);
-    pub const INTERPOLATION: Object = Object::new(0x60C1, 1);
-    pub const CYCLE_UNITS: Object = Object::new(0x60C2, 1);
-    pub const CYCLE_POWER: Object = Object::new(0x60C2, 2);
-    pub const POSITIVE_TORQUE: Object = Object::new(0x60E0, 0);
-    pub const NEGATIVE_TORQUE: Object = Object::new(0x60E1, 0);
-    pub const FOLLOWING_ERROR: Object = Object::new(0x60F4, 0);
-    pub const TARGET_VELOCITY: Object = Object::new(0x60FF, 0);
+            $(pub const $name: Object = Object::new($index, $sub);)*
+        }
+    };
+}
+
+numbers! {
+    ERROR_REGISTER = 0x1001, 0; MANUFACTURER_STATUS = 0x1002, 0; ERROR_COUNT = 0x1003, 0;
+    LAST_ERROR = 0x1003, 1; DEVICE_NAME = 0x1008, 0; OUTPUT_CYCLE = 0x1C32, 2; INPUT_CYCLE = 0x1C33, 2;
+    POSITION_2 = 0x2050, 0; INCREMENTAL_SPEED = 0x2070, 2; CYCLE_TIME = 0x35D5, 1; ERROR_CODE = 0x603F, 0;
+    CONTROL_WORD = 0x6040, 0; STATUS_WORD = 0x6041, 0; MODE = 0x6060, 0; MODE_DISPLAY = 0x6061, 0;
+    INCREMENTS = 0x6063, 0; POSITION = 0x6064, 0; FOLLOWING_WINDOW = 0x6065, 0; VELOCITY_SETPOINT = 0x606B, 0;
+    VELOCITY = 0x606C, 0; TARGET_TORQUE = 0x6071, 0; MAXIMUM_TORQUE = 0x6072, 0; CURRENT_SETPOINT = 0x6074, 0;
+    TORQUE = 0x6077, 0; TARGET_POSITION = 0x607A, 0; HOME_OFFSET = 0x607C, 0; MAXIMUM_VELOCITY = 0x607F, 0;
+    MAXIMUM_SPEED = 0x6080, 0; PROFILE_VELOCITY = 0x6081, 0; ACCELERATION = 0x6083, 0;
+    DECELERATION = 0x6084, 0; FEED = 0x6092, 1; FEED_TURNS = 0x6092, 2; FACTOR = 0x6093, 1;
+    DIVISOR = 0x6093, 2; HOMING_METHOD = 0x6098, 0; HOMING_SPEED = 0x6099, 1; HOMING_ACCELERATION = 0x609A, 0;
+    INTERPOLATION = 0x60C1, 1; CYCLE_UNITS = 0x60C2, 1; CYCLE_POWER = 0x60C2, 2; POSITIVE_TORQUE = 0x60E0, 0;
+    NEGATIVE_TORQUE = 0x60E1, 0; FOLLOWING_ERROR = 0x60F4, 0; TARGET_VELOCITY = 0x60FF, 0;
 }
 
 /// The type of an object.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[expect(missing_docs)]
 pub enum Type {
     I8,
     U8,
@@ -135,120 +113,84 @@ pub type Row = (Object, Type, Access, (i64, i64));
 pub fn dictionary(family: Family) -> Vec<Row> {
     use Access::{PreOp, Read, Write};
     use Type::{I8, I16, I32, Text, U8, U16, U32};
-    let row = |(index, sub, kind, access): (u16, u8, Type, Access)| {
-        let range = match kind {
-            I8 => (i8::MIN.into(), i8::MAX.into()),
-            U8 => (0, u8::MAX.into()),
-            I16 => (i16::MIN.into(), i16::MAX.into()),
-            U16 => (0, u16::MAX.into()),
-            I32 => (i32::MIN.into(), i32::MAX.into()),
-            U32 | Text => (0, u32::MAX.into()),
-        };
-        let range = match (index, sub) {
-            (OUTPUT_PDO | INPUT_PDO, 0) => (0, 1),
-            (0x35D5, 1) => (1, 127),
-            (0x6092 | 0x6093, 1 | 2) | (0x60C2, 1) => (1, range.1),
-            (0x6098, 0) => (range.0, 35),
-            (0x60C2, 2) => (-6, 0),
-            _ => range,
-        };
-        (Object::new(index, sub), kind, access, range)
-    };
-    let both = [
-        (0x1000, 0, U32, Read),
-        (0x1001, 0, U8, Read),
-        (0x1002, 0, U32, Read),
-        (0x1003, 0, U8, Read),
-        (0x1003, 1, U32, Read),
-        (0x1008, 0, Text, Read),
-        (0x1009, 0, Text, Read),
-        (0x100A, 0, Text, Read),
-        (0x1018, 0, U8, Read),
-        (0x1018, 1, U32, Read),
-        (0x1018, 2, U32, Read),
-        (0x1018, 3, U32, Read),
-        (0x1018, 4, U32, Read),
-        (0x1C00, 0, U8, Read),
-        (0x1C00, 1, U8, Read),
-        (0x1C00, 2, U8, Read),
-        (0x1C00, 3, U8, Read),
-        (0x1C00, 4, U8, Read),
-        (OUTPUT_PDO, 0, U8, PreOp),
-        (OUTPUT_PDO, 1, U16, PreOp),
-        (INPUT_PDO, 0, U8, PreOp),
-        (INPUT_PDO, 1, U16, PreOp),
-        (0x1C32, 0, U8, Read),
-        (0x1C32, 1, U16, Write),
-        (0x1C32, 2, U32, Read),
-        (0x1C33, 0, U8, Read),
-        (0x1C33, 1, U16, Write),
-        (0x1C33, 2, U32, Read),
-        (0x6040, 0, U16, Write),
-        (0x6041, 0, U16, Read),
-        (0x6060, 0, I8, Write),
-        (0x6061, 0, I8, Read),
-        (0x6063, 0, I32, Read),
-        (0x6064, 0, I32, Read),
-        (0x6065, 0, U32, Write),
-        (0x606C, 0, I32, Read),
-        (0x6071, 0, I16, Write),
-        (0x6072, 0, U16, Write),
-        (0x6077, 0, I16, Read),
-        (0x607A, 0, I32, Write),
-        (0x607C, 0, I32, Write),
-        (0x6081, 0, U32, Write),
-        (0x6083, 0, U32, Write),
-        (0x6084, 0, U32, Write),
-        (0x608F, 0, U8, Read),
-        (0x608F, 1, U32, Read),
-        (0x608F, 2, U32, Read),
-        (0x6092, 0, U8, Read),
-        (0x6092, 1, U32, Write),
-        (0x6092, 2, U32, Write),
-        (0x6093, 0, U8, Read),
-        (0x6093, 1, U32, Write),
-        (0x6093, 2, U32, Write),
-        (0x6098, 0, I8, Write),
-        (0x6099, 0, U8, Read),
-        (0x6099, 1, U32, Write),
-        (0x6099, 2, U32, Write),
-        (0x609A, 0, U32, Write),
-        (0x60C1, 0, U8, Read),
-        (0x60C1, 1, I32, Write),
-        (0x60C2, 0, U8, Read),
-        (0x60C2, 1, U8, Write),
-        (0x60C2, 2, I8, Write),
-        (0x60FD, 0, U32, Read),
-        (0x60FF, 0, I32, Write),
+    /// Objects of one type with the same rights, each as index and subindex in one number.
+    type Group = (Type, Access, &'static [u32]);
+    const BOTH: &[Group] = &[
+        (
+            U32,
+            Read,
+            &[
+                0x100000, 0x100200, 0x100301, 0x101801, 0x101802, 0x101803, 0x101804, 0x1C3202, 0x1C3302,
+                0x608F01, 0x608F02, 0x60FD00,
+            ],
+        ),
+        (
+            U8,
+            Read,
+            &[
+                0x100100, 0x100300, 0x101800, 0x1C0000, 0x1C0001, 0x1C0002, 0x1C0003, 0x1C0004, 0x1C3200,
+                0x1C3300, 0x608F00, 0x609200, 0x609300, 0x609900, 0x60C100, 0x60C200,
+            ],
+        ),
+        (Text, Read, &[0x100800, 0x100900, 0x100A00]),
+        (U8, PreOp, &[0x1C1200, 0x1C1300]),
+        (U16, PreOp, &[0x1C1201, 0x1C1301]),
+        (U16, Write, &[0x1C3201, 0x1C3301, 0x604000, 0x607200]),
+        (U16, Read, &[0x604100]),
+        (I8, Write, &[0x606000, 0x609800, 0x60C202]),
+        (I8, Read, &[0x606100]),
+        (I32, Read, &[0x606300, 0x606400, 0x606C00]),
+        (
+            U32,
+            Write,
+            &[
+                0x606500, 0x608100, 0x608300, 0x608400, 0x609201, 0x609202, 0x609301, 0x609302, 0x609901,
+                0x609902, 0x609A00,
+            ],
+        ),
+        (I16, Write, &[0x607100]),
+        (I16, Read, &[0x607700]),
+        (I32, Write, &[0x607A00, 0x607C00, 0x60C101, 0x60FF00]),
+        (U8, Write, &[0x60C201]),
     ];
-    let own: &[_] = match family {
-        Family::S700 => &[
-            (0x2070, 2, I32, Read),
-            (0x35D5, 1, I32, Write),
-            (0x606B, 0, I32, Write),
-            (0x6074, 0, I16, Write),
-        ],
-        Family::Akd => &[
-            (0x2050, 0, I32, Read),
-            (0x20A0, 0, I32, Read),
-            (0x20A4, 0, U16, Write),
-            (0x20A5, 0, U16, Read),
-            (0x3470, 3, I16, Write),
-            (0x3470, 4, I16, Read),
-            (0x60B2, 0, I16, Write),
-            (0x603F, 0, U16, Read),
-            (0x607F, 0, U32, Write),
-            (0x6080, 0, U32, Write),
-            (0x60E0, 0, U16, Write),
-            (0x60E1, 0, U16, Write),
-            (0x60F4, 0, I32, Read),
-            (0x60FE, 0, U8, Read),
-            (0x60FE, 1, U32, Write),
-        ],
+    const S700: &[Group] =
+        &[(I32, Read, &[0x207002]), (I32, Write, &[0x35D501, 0x606B00]), (I16, Write, &[0x607400])];
+    const AKD: &[Group] = &[
+        (I32, Read, &[0x205000, 0x20A000, 0x60F400]),
+        (U16, Write, &[0x20A400, 0x60E000, 0x60E100]),
+        (U16, Read, &[0x20A500, 0x603F00]),
+        (I16, Write, &[0x347003, 0x60B200]),
+        (I16, Read, &[0x347004]),
+        (U32, Write, &[0x607F00, 0x608000, 0x60FE01]),
+        (U8, Read, &[0x60FE00]),
+    ];
+    let own = if family == Family::S700 { S700 } else { AKD };
+    let each = |(kind, access, all): &Group| {
+        let (kind, access) = (*kind, *access);
+        all.iter().map(move |object| (Object::of(*object), kind, access, range(*object, kind)))
     };
-    let mut all: Vec<Row> = both.iter().chain(own).copied().map(row).collect();
+    let mut all: Vec<Row> = BOTH.iter().chain(own).flat_map(each).collect();
     all.sort_by_key(|(object, ..)| *object);
     all
+}
+
+/// The values that an object may have: those of its type, with some exceptions.
+fn range(object: u32, kind: Type) -> (i64, i64) {
+    let all = match kind {
+        Type::I8 | Type::I16 | Type::I32 => {
+            let end = 1 << (8 * kind.bytes() - 1);
+            (-end, end - 1)
+        }
+        _ => (0, (1 << (8 * kind.bytes())) - 1),
+    };
+    match object {
+        0x1C1200 | 0x1C1300 => (0, 1),
+        0x35D501 => (1, 127),
+        0x609201 | 0x609202 | 0x609301 | 0x609302 | 0x60C201 => (1, all.1),
+        0x609800 => (all.0, 35),
+        0x60C202 => (-6, 0),
+        _ => all,
+    }
 }
 
 /// A PDO: its index, and the objects in it with their bits.
@@ -288,71 +230,44 @@ impl Pdo {
 
 /// The PDOs that a drive family has from delivery. That of 1704h, and those of 1701h and 1B01h in an S700, are assumed.
 pub fn fixed_pdos(family: Family) -> Vec<Pdo> {
-    let pdo = |(index, entries): &(u16, &[(u16, u8, u8)])| Pdo {
-        index: *index,
-        entries: entries.iter().map(|(index, sub, bits)| (Object::new(*index, *sub), *bits)).collect(),
-    };
-    let (word, state) = ((0x6040, 0, 16), (0x6041, 0, 16));
-    let interpolation = (0x60C1, 1, 32);
-    match family {
-        Family::S700 => [
-            (0x1701, &[interpolation, word][..]),
-            (0x1702, &[(0x606B, 0, 32), word]),
-            (0x1703, &[(0x6074, 0, 16), word]),
-            (0x1704, &[(0x607A, 0, 32), word]),
-            (0x1B01, &[(0x6063, 0, 32), state]),
-            (0x1B03, &[(0x6064, 0, 32), (0x6077, 0, 16), state]),
-        ]
-        .iter()
-        .map(pdo)
-        .collect(),
-        Family::Akd => {
-            let (offset, outputs) = ((0x60B2, 0, 16), (0x60FE, 1, 32));
-            [
-                (0x1701, &[interpolation, word][..]),
-                (0x1702, &[(0x60FF, 0, 32), word]),
-                (0x1720, &[word, interpolation, (0x20A4, 0, 16), offset, outputs]),
-                (0x1721, &[interpolation, word, offset]),
-                (0x1724, &[(0x607A, 0, 32), word, offset]),
-                (0x1725, &[word, (0x607A, 0, 32), outputs, offset, (0x3470, 3, 16), (0x6072, 0, 16)]),
-                (0x1B01, &[(0x6063, 0, 32), state]),
-                (
-                    0x1B20,
-                    &[
-                        (0x6063, 0, 32),
-                        (0x2050, 0, 32),
-                        (0x606C, 0, 32),
-                        (0x60FD, 0, 32),
-                        (0x60F4, 0, 32),
-                        (0x20A0, 0, 32),
-                        state,
-                        (0x6077, 0, 16),
-                        (0x20A5, 0, 16),
-                        (0x3470, 4, 16),
-                    ],
-                ),
-                (0x1B24, &[(0x6064, 0, 32), state]),
-                (
-                    0x1B26,
-                    &[
-                        state,
-                        (0x6064, 0, 32),
-                        (0x6077, 0, 16),
-                        (0x60FD, 0, 32),
-                        (0x3470, 4, 16),
-                        (0x60F4, 0, 32),
-                    ],
-                ),
-            ]
-            .iter()
-            .map(pdo)
-            .collect()
-        }
-    }
+    type Content = (u16, &'static [u32]);
+    const S700: &[Content] = &[
+        (0x1701, &[0x60C101, 0x604000]),
+        (0x1702, &[0x606B00, 0x604000]),
+        (0x1703, &[0x607400, 0x604000]),
+        (0x1704, &[0x607A00, 0x604000]),
+        (0x1B01, &[0x606300, 0x604100]),
+        (0x1B03, &[0x606400, 0x607700, 0x604100]),
+    ];
+    const AKD: &[Content] = &[
+        (0x1701, &[0x60C101, 0x604000]),
+        (0x1702, &[0x60FF00, 0x604000]),
+        (0x1720, &[0x604000, 0x60C101, 0x20A400, 0x60B200, 0x60FE01]),
+        (0x1721, &[0x60C101, 0x604000, 0x60B200]),
+        (0x1724, &[0x607A00, 0x604000, 0x60B200]),
+        (0x1725, &[0x604000, 0x607A00, 0x60FE01, 0x60B200, 0x347003, 0x607200]),
+        (0x1B01, &[0x606300, 0x604100]),
+        (
+            0x1B20,
+            &[
+                0x606300, 0x205000, 0x606C00, 0x60FD00, 0x60F400, 0x20A000, 0x604100, 0x607700, 0x20A500,
+                0x347004,
+            ],
+        ),
+        (0x1B24, &[0x606400, 0x604100]),
+        (0x1B26, &[0x604100, 0x606400, 0x607700, 0x60FD00, 0x347004, 0x60F400]),
+    ];
+    let known = dictionary(family);
+    let bits =
+        |object: Object| known.iter().find(|(own, ..)| *own == object).map_or(0, |row| 8 * row.1.bytes());
+    let entry = |object: &u32| (Object::of(*object), bits(Object::of(*object)) as u8);
+    let all = if family == Family::S700 { S700 } else { AKD };
+    all.iter()
+        .map(|(index, objects)| Pdo { index: *index, entries: objects.iter().map(entry).collect() })
+        .collect()
 }
 
 /// Modes of operation, 6060h.
-#[expect(missing_docs)]
 pub mod mode {
     pub const PROFILE_POSITION: i8 = 1;
     pub const PROFILE_VELOCITY: i8 = 3;

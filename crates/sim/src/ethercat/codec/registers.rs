@@ -3,7 +3,6 @@
 use super::{u16_at, u32_at};
 
 /// Addresses.
-#[expect(missing_docs)]
 pub mod address {
     pub const TYPE: u16 = 0x0000;
     /// FMMUs, SyncManagers, KiB of memory, port types.
@@ -62,7 +61,6 @@ pub mod address {
 }
 
 /// Bits of the features.
-#[expect(missing_docs)]
 pub mod feature {
     pub const CLOCK: u16 = 1 << 2;
     pub const LONG_CLOCK: u16 = 1 << 3;
@@ -74,13 +72,17 @@ pub mod feature {
 /// A state of the EtherCAT state machine; ordered as they are entered.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 #[repr(u8)]
-#[expect(missing_docs)]
 pub enum AlState {
+    /// Nothing but registers.
     #[default]
     Init = 1,
+    /// Mailbox.
     PreOp = 2,
+    /// Firmware download.
     Boot = 3,
+    /// Mailbox and inputs.
     SafeOp = 4,
+    /// Mailbox, inputs and outputs.
     Op = 8,
 }
 
@@ -101,7 +103,6 @@ pub mod al {
 }
 
 /// AL status codes.
-#[expect(missing_docs)]
 pub mod code {
     pub const NONE: u16 = 0x0000;
     pub const INVALID_REQUEST: u16 = 0x0011;
@@ -118,7 +119,6 @@ pub mod code {
 
 /// A SyncManager as the master sets it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[expect(missing_docs)]
 pub struct SyncManager {
     pub start: u16,
     pub length: u16,

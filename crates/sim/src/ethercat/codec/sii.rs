@@ -1,7 +1,6 @@
 //! The EEPROM of a slave (SII).
 
 /// Word addresses.
-#[expect(missing_docs)]
 pub mod word {
     pub const ALIAS: usize = 0x04;
     /// The checksum of the words before it.
@@ -22,7 +21,6 @@ pub mod word {
 pub const COE: u16 = 1 << 2;
 
 /// Categories.
-#[expect(missing_docs)]
 pub mod category {
     pub const STRINGS: u16 = 10;
     pub const GENERAL: u16 = 30;
@@ -34,7 +32,6 @@ pub mod category {
 }
 
 /// Bits of control and status, and the commands in them.
-#[expect(missing_docs)]
 pub mod bit {
     /// Goes with the command to write.
     pub const WRITES: u16 = 1 << 0;
@@ -59,10 +56,12 @@ pub const FORCED: u8 = 1 << 1;
 
 /// Who made a slave, and what it is.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[expect(missing_docs)]
 pub struct Identity {
+    /// Its vendor.
     pub vendor: u32,
+    /// Its product code.
     pub product: u32,
+    /// Its revision.
     pub revision: u32,
 }
 
