@@ -45,7 +45,7 @@ pub struct Fault {
     pub code: u16,
     /// The bits that it sets in the error register, 1001h, besides bit 0 (assumed: CiA 301 by kind).
     pub register: u8,
-    /// How it can be cleared. Which fault has which is assumed.
+    /// How it can be cleared: the category of the CAN manual.
     pub clearing: Clearing,
     /// Its meaning.
     pub name: &'static str,
@@ -65,7 +65,7 @@ mod register {
 
 impl Fault {
     /// F01: the heat sink is too hot.
-    pub const HEAT_SINK: Fault = Fault::new(1, 0x4210, register::TEMPERATURE, "heat sink temperature");
+    pub const HEAT_SINK: Fault = Fault::new(1, 0x4210, register::TEMPERATURE, "heat sink temperature").cold();
     /// F02: over-voltage of the DC bus.
     pub const OVERVOLTAGE: Fault = Fault::new(2, 0x3110, register::VOLTAGE, "over-voltage");
     /// F03: following error.
@@ -73,7 +73,8 @@ impl Fault {
     /// F05: under-voltage of the DC bus.
     pub const UNDERVOLTAGE: Fault = Fault::new(5, 0x3120, register::VOLTAGE, "under-voltage");
     /// F06: the motor is too hot.
-    pub const MOTOR_TEMPERATURE: Fault = Fault::new(6, 0x4310, register::TEMPERATURE, "motor temperature");
+    pub const MOTOR_TEMPERATURE: Fault =
+        Fault::new(6, 0x4310, register::TEMPERATURE, "motor temperature").cold();
     /// F12: a phase of the motor is missing.
     pub const MOTOR_PHASE: Fault = Fault::new(12, 0x2380, register::CURRENT, "motor phase").cold();
     /// F13: the ambient temperature of the drive is too high.
@@ -83,7 +84,7 @@ impl Fault {
     /// F19: a phase of the mains is missing.
     pub const MAINS_PHASE: Fault = Fault::new(19, 0x3130, register::VOLTAGE, "mains phase");
     /// F22: short circuit to earth.
-    pub const EARTH: Fault = Fault::new(22, 0x2330, register::CURRENT, "earth short circuit").cold();
+    pub const EARTH: Fault = Fault::new(22, 0x2330, register::CURRENT, "earth short circuit");
     /// F28: not, or no longer, synchronous to the cycle of the bus.
     pub const SYNCHRONISATION: Fault =
         Fault::new(28, 0x8700, register::COMMUNICATION, "bus synchronisation").assume();
@@ -174,7 +175,7 @@ mod tests {
         assert_eq!(Clearing::of(&warning), Some(Clearing::Warning));
         assert_eq!(Clearing::of(&Emergency { vendor: [6, 0, 0, 0, 0], ..warning }), None);
         assert_eq!(Clearing::of(&Emergency::default()), None);
-        let hot = Emergency { code: 0x4310, register: 8, vendor: [2, 0, 0, 0, 0] };
+        let hot = Emergency { code: 0x4310, register: 8, vendor: [1, 0, 0, 0, 0] };
         assert_eq!(Fault::MOTOR_TEMPERATURE.emergency(), hot);
         assert_eq!(Fault::MOTOR_TEMPERATURE.error_register(), 9);
     }

@@ -76,7 +76,7 @@ fn what_it_cannot_do_is_refused_at_once_by_name() {
     };
     let mut rig = Rig::enabled(velocity());
     assert!(unsupported(&mut rig, Rig::by(1.0)) && unsupported(&mut rig, Command::Follow));
-    rig.drive.provoke(Fault::EARTH.code);
+    rig.drive.provoke(Fault::MOTOR_PHASE.code);
     rig.turns(200);
     let reset = rig.run(Command::ResetFault);
     assert!(matches!(reset, Err(Failure::Unsupported(why)) if why.contains("cold start")));

@@ -77,11 +77,11 @@ fn emergencies(machine: &mut Machine) -> Vec<(usize, Emergency)> {
 fn an_emergency_is_an_event_with_code_and_register_and_so_is_its_end() {
     let mut machine = Machine::enabled(plan(2));
     assert_eq!(emergencies(&mut machine), []);
-    machine.drive(1, |drive| drive.provoke(Fault::MOTOR_TEMPERATURE.code));
+    machine.drive(1, |drive| drive.provoke(Fault::MAINS.code));
     machine.run(100);
-    let reported = Emergency { code: 0x4310, register: 8 };
+    let reported = Emergency { code: 0x3100, register: 4 };
     assert_eq!(emergencies(&mut machine), [(1, reported)]);
-    assert_eq!(machine.sim.axis(1).fault(reported.code.into()).name, Some("motor temperature"));
+    assert_eq!(machine.sim.axis(1).fault(reported.code.into()).name, Some("mains"));
     assert_eq!(machine.ended(1, Command::ResetFault), Outcome::Done);
     machine.run(100);
     let over = emergencies(&mut machine);

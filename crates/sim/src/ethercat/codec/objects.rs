@@ -302,9 +302,9 @@ pub const COLD_START: u8 = 1;
 /// The same: bit 7 of the control word clears it.
 pub const RESET: u8 = 2;
 
-/// The category of the fault with a code.
+/// The category of the fault with a code (CAN manual).
 pub fn category(code: u16) -> u8 {
-    if matches!(code, 0x2330 | 0x2380) { COLD_START } else { RESET }
+    if matches!(code, 0x2380 | 0x4210 | 0x4310) { COLD_START } else { RESET }
 }
 
 /// The bits of the error register that the fault with a code sets besides bit 0: current, voltage, temperature,

@@ -205,9 +205,9 @@ fn going_through_pre_op_deletes_what_is_not_fatal() {
     bench.go_to_op();
     assert_eq!(bench.drive.fault(), None);
     bench.enter(AlState::PreOp).unwrap();
-    bench.drive.provoke(0x2330);
+    bench.drive.provoke(0x2380);
     bench.go_to_op();
-    assert_eq!(bench.drive.fault(), Some(0x2330));
+    assert_eq!(bench.drive.fault(), Some(0x2380));
 }
 
 #[test]
@@ -289,12 +289,12 @@ fn leaving_op_stops_quickly_and_switches_off() {
 fn a_fault_stops_the_motor_and_is_reset_by_a_rising_edge() {
     let mut bench = Bench::turning(4_000, 300);
     bench.put(CONTROL_WORD, 0x8F);
-    bench.drive.provoke(0x4310);
+    bench.drive.provoke(0x4110);
     bench.cycle();
     assert!(bench.is(State::FaultReactionActive));
     bench.cycles(100);
     assert!(bench.is(State::Fault), "bit 7 stood before the fault was over");
-    assert_eq!(bench.emergencies(), [0x4310]);
+    assert_eq!(bench.emergencies(), [0x4110]);
     assert_eq!(bench.read(0x1001, 0), Ok(9));
     bench.control(0x00);
     bench.control(0x80);
