@@ -19,7 +19,6 @@ use fieldbeat_core::net::frames::{MAC, Unsent};
 use fieldbeat_core::net::{Carriers, Datagrams, Frames, UdpOptions};
 use fieldbeat_core::rt::{MonotonicClock, Regions};
 use fieldbeat_ethercat::wire::frame::{Command, FRAME_MAX, Place, datagrams};
-use fieldbeat_ethercat::wire::sii::Identity;
 
 use super::rig::{self, Scene};
 

@@ -529,7 +529,7 @@ proptest! {
         };
         prop_assert_eq!(found, Identity { vendor, product, revision });
         prop_assert_eq!(long(word::SERIAL), serial);
-        let [out, input] = [word::MAILBOX_OUT, word::MAILBOX_IN].map(|word| usize::from(word));
+        let [out, input] = [word::MAILBOX_OUT, word::MAILBOX_IN].map(usize::from);
         prop_assert_eq!([image[out], image[out + 1], image[input], image[input + 1]], areas);
         let coe = Protocols(image[usize::from(word::PROTOCOLS)]).coe();
         prop_assert_eq!(coe, protocols & own::sii::COE != 0);

@@ -51,16 +51,15 @@ impl Analogue {
 
     /// The value of an object, as it is on the wire.
     fn read(&self, object: Object) -> Answer {
-        let identity = self.contents.identity;
+        let Contents { identity, serial, .. } = self.contents;
         let long = |value: u32| Ok(value.to_le_bytes().to_vec());
         match (object.index, object.sub) {
             (0x1000, 0) => long(0x0001_1389),
             (0x1008, 0) => Ok(self.contents.name.as_bytes().to_vec()),
             (0x1018, 0) => Ok(vec![4]),
-            (0x1018, 1) => long(identity.vendor),
-            (0x1018, 2) => long(identity.product),
-            (0x1018, 3) => long(identity.revision),
-            (0x1018, 4) => long(self.contents.serial),
+            (0x1018, sub @ 1..=4) => {
+                long([identity.vendor, identity.product, identity.revision, serial][usize::from(sub) - 1])
+            }
             (0x1C00, 0) => Ok(vec![4]),
             (0x1C00, sub @ 1..=4) => Ok(vec![sub]),
             (0x1C12, 0) => Ok(vec![0]),
@@ -71,10 +70,7 @@ impl Analogue {
             }
             (0x1A00 | 0x1A02, sub) => {
                 let pdo = self.contents.inputs.iter().find(|(pdo, _)| pdo.index == object.index);
-                let entries = pdo.map_or(&[][..], |(pdo, _)| &pdo.entries);
-                let Some(n) = usize::from(sub).checked_sub(1) else { return Ok(vec![entries.len() as u8]) };
-                let (mapped, bits) = *entries.get(n).ok_or(abort::NO_SUB)?;
-                long(u32::from(mapped.index) << 16 | u32::from(mapped.sub) << 8 | u32::from(bits))
+                pdo.and_then(|(pdo, _)| pdo.value(sub)).ok_or(abort::NO_SUB)
             }
             (0x1800 | 0x1802, 0) => Ok(vec![9]),
             (0x1800 | 0x1802, 7) => Ok(vec![0]),

@@ -29,14 +29,19 @@ use super::manager::Manager;
 use super::sii::Eeprom;
 use fieldbeat_core::time::Time;
 
-const SPACE: usize = 0x1_0000;
 /// Memory that a master may use freely; digital outputs of small slaves begin here.
 const USER: usize = 0x0F00;
 const PROCESS: usize = 0x1000;
+/// Type, revision and build, SyncManagers and memory, as a real Kollmorgen drive (AKD) has them.
+const KIND: [u8; 4] = [0x04, 0x02, 0x00, 0x00];
+const SYNC_MANAGERS: usize = 8;
+const RAM_KIB: u8 = 8;
+/// The end of the memory.
+pub(super) const END: usize = PROCESS + 1024 * RAM_KIB as usize;
 /// Events for the master: links and state have changed.
 const LINKS_CHANGED: u16 = 1 << 2;
 const STATE_CHANGED: u16 = 1 << 3;
-/// What is behind the controller: digital inputs and outputs, with device emulation; or a microcontroller.
+/// PDI control: digital inputs and outputs with device emulation, or a microcontroller.
 const EMULATED: [u8; 2] = [0x04, 0x01];
 const PROCESSOR: [u8; 2] = [0x08, 0x00];
 /// The watchdog's divider and time as delivered: 100 us, 100 ms.
@@ -62,41 +67,41 @@ pub(super) struct Chip {
     features: u16,
     receive_times: bool,
     device_id: Option<u16>,
-    /// What it shows there on request only, and whether that is requested.
+    /// The device id that is shown on request only, and whether it is requested.
     identification: Option<u16>,
-    identifies: bool,
+    pub(super) identifies: bool,
     /// AL status follows AL control.
     emulated: bool,
-    managers: Vec<Manager>,
+    pub(super) managers: Vec<Manager>,
     fmmus: Vec<Fmmu>,
-    eeprom: Eeprom,
-    clock: Clock,
+    pub(super) eeprom: Eeprom,
+    pub(super) clock: Clock,
     passage: Passage,
     /// AL control was written, and when.
-    requested: Option<Time>,
+    pub(super) requested: Option<Time>,
     /// When the mailbox was filled.
-    filled: Option<Time>,
+    pub(super) filled: Option<Time>,
     /// Outputs were written.
-    outputs: bool,
+    pub(super) outputs: bool,
     events: u16,
     /// The watchdog was last fed; `None`: never.
     fed: Option<Time>,
     expired: bool,
-    misuse: Misuse,
+    pub(super) misuse: Misuse,
     pub(super) met: Met,
 }
 
 impl Chip {
     pub(super) fn new(settings: &Settings, sii: Vec<u16>) -> Chip {
         let mut chip = Chip {
-            memory: vec![0; SPACE],
+            memory: vec![0; END],
             features: settings.features,
             receive_times: settings.receive_times || settings.features & feature::CLOCK != 0,
             device_id: settings.device_id,
             identification: settings.identification,
             identifies: false,
             emulated: settings.emulated,
-            managers: vec![Manager::default(); settings.sync_managers.min(32).into()],
+            managers: vec![Manager::default(); SYNC_MANAGERS],
             fmmus: vec![Fmmu::default(); settings.fmmus.min(32).into()],
             eeprom: Eeprom::new(sii, settings.sii_access),
             clock: Clock::new(
@@ -119,13 +124,12 @@ impl Chip {
         chip
     }
 
-    /// Its descriptive registers.
+    /// Writes the descriptive registers.
     fn describe(&mut self, settings: &Settings) {
-        let Settings { kind, ram_kib, ports, .. } = *settings;
         let [features, divider, ticks] = [self.features, DIVIDER, TICKS].map(u16::to_le_bytes);
-        self.put(address::TYPE, &kind);
+        self.put(address::TYPE, &KIND);
         let (fmmus, managers) = (self.fmmus.len() as u8, self.managers.len() as u8);
-        self.put(address::RESOURCES, &[fmmus, managers, ram_kib, ports]);
+        self.put(address::RESOURCES, &[fmmus, managers, RAM_KIB, settings.ports]);
         self.put(address::FEATURES, &features);
         self.put(address::WATCHDOG_DIVIDER, &divider);
         self.put(address::PDI_CONTROL, if self.emulated { &EMULATED } else { &PROCESSOR });
@@ -171,11 +175,6 @@ impl Chip {
         }
     }
 
-    /// Its identification is requested, or not any more.
-    pub(super) fn identify(&mut self, requested: bool) {
-        self.identifies = requested;
-    }
-
     /// Shows a state, and locks the parts that it does not use.
     pub(super) fn show_state(&mut self, state: AlState, error: bool, code: u16) {
         let requested = self.identification.filter(|_| self.identifies);
@@ -195,7 +194,7 @@ impl Chip {
         self.show();
     }
 
-    /// Its state, if it has no processor: as it was requested last.
+    /// The state in device emulation: the one requested last.
     pub(super) fn emulated_state(&self) -> Option<AlState> {
         AlState::of(self.word(address::AL_STATUS)).filter(|_| self.emulated)
     }
@@ -205,40 +204,15 @@ impl Chip {
         self.memory[usize::from(address::SII_OWNER)] & SLAVE_OWNS != 0
     }
 
-    /// A command of its SII has failed.
-    pub(super) fn fail_sii(&mut self) {
-        self.eeprom.fail();
-    }
-
     /// The processor has the SII now, and keeps it until it is taken by force.
     pub(super) fn give_sii(&mut self) {
         self.put(address::SII_OWNER, &[SLAVE_OWNS; 2]);
-    }
-
-    /// When AL control was written, until it is read.
-    pub(super) fn requested(&self) -> Option<Time> {
-        self.requested
     }
 
     /// Reads AL control.
     pub(super) fn take_request(&mut self) -> u16 {
         self.requested = None;
         self.word(address::AL_CONTROL)
-    }
-
-    /// The SyncManagers.
-    pub(super) fn managers(&self) -> &[Manager] {
-        &self.managers
-    }
-
-    /// Where the memory ends.
-    pub(super) fn memory_end(&self) -> usize {
-        PROCESS + 1024 * usize::from(self.memory[usize::from(address::RESOURCES) + 2])
-    }
-
-    /// When the mailbox was filled, until its message is taken.
-    pub(super) fn filled(&self) -> Option<Time> {
-        self.filled
     }
 
     /// Takes what is in the mailbox that the master writes.
@@ -279,16 +253,11 @@ impl Chip {
     /// The outputs of all SyncManagers, in order; zeros of one that was not written yet, nothing if none was.
     pub(super) fn outputs(&self) -> impl Iterator<Item = u8> {
         let managers = || self.managers.iter().filter(|manager| manager.is_process(true));
-        let any = managers().any(|manager| !manager.taken().is_empty());
+        let any = managers().any(|manager| !manager.taken.is_empty());
         managers().filter(move |_| any).flat_map(|manager| {
-            let taken = manager.taken();
+            let taken = &manager.taken;
             (0..manager.area().len()).map(move |at| taken.get(at).copied().unwrap_or(0))
         })
-    }
-
-    /// Outputs were written; returned once.
-    pub(super) fn takes_outputs(&mut self) -> bool {
-        std::mem::take(&mut self.outputs)
     }
 
     /// The inputs of all SyncManagers, in order.
@@ -319,11 +288,6 @@ impl Chip {
         }
     }
 
-    /// The clock.
-    pub(super) fn clock(&mut self) -> &mut Clock {
-        &mut self.clock
-    }
-
     /// The watchdog of the outputs: ns, and `None` if it is off.
     fn watchdog_ns(&self) -> Option<u64> {
         let tick_ns = (u64::from(self.word(address::WATCHDOG_DIVIDER)) + 2) * 40;
@@ -344,7 +308,7 @@ impl Chip {
             let [count] = self.bytes(address::WATCHDOG_COUNTER);
             self.put(address::WATCHDOG_COUNTER, &[u8::saturating_add(count, 1)]);
         }
-        let arms = |manager: &Manager| manager.setting().control & SyncManager::WATCHDOG != 0;
+        let arms = |manager: &Manager| manager.setting.control & SyncManager::WATCHDOG != 0;
         self.expired && self.managers.iter().any(|manager| manager.is_process(true) && arms(manager))
     }
 
@@ -388,18 +352,13 @@ impl Chip {
 
     /// Shows the read data, and the alias if it was loaded again.
     fn show_sii(&mut self) {
-        let (data, alias) = (self.eeprom.data(), self.eeprom.alias());
+        let (data, alias) = (self.eeprom.data, self.eeprom.alias());
         self.met.sii_failed += u32::from(self.eeprom.status() & (bit::REFUSED | bit::PROTECTED) != 0);
         self.put(address::SII_DATA, &data);
-        if let Some(at) = self.eeprom.slipped_to() {
+        if let Some(at) = self.eeprom.slipped.take() {
             self.met.sii_slipped += 1;
             self.put(address::SII_ADDRESS, &at.to_le_bytes());
         }
         self.put(address::ALIAS, &alias.to_le_bytes());
-    }
-
-    /// Takes the words of its EEPROM, for its next start.
-    pub(super) fn take_sii(&mut self) -> Vec<u16> {
-        self.eeprom.take_words()
     }
 }

@@ -1,6 +1,6 @@
 //! The distributed clock of a slave (ETG.1000.4, 6.5).
 //!
-//! Its own time runs with the drift of its quartz, adjusted by the compensation; the segment's time is its own time
+//! The local time runs with the drift of the quartz, adjusted by the compensation; the system time is the local time
 //! plus the offset.
 
 use super::codec::registers::difference;
@@ -17,7 +17,7 @@ const CATCH_UP: u64 = 1_000;
 
 /// SYNC0 as it runs.
 #[derive(Clone, Copy, Debug)]
-struct Sync {
+pub(super) struct Sync {
     /// When the next one is, in the segment's time.
     next: u64,
     /// The time until then; not positive: it is due.
@@ -32,12 +32,12 @@ pub(super) struct Clock {
     mask: u64,
     drift_ppm: f64,
     trim_ppm: f64,
-    /// Its own time, and the fraction of a nanosecond beyond it.
+    /// The local time, and the fraction of a nanosecond beyond it.
     own: u64,
     part: f64,
     lived: Option<Time>,
     offset: u64,
-    delay: u32,
+    pub(super) delay: u32,
     /// When it was last compared, by its own time.
     compared: Option<u64>,
     /// Comparisons: the difference is averaged over so many, and is removed in so many.
@@ -45,7 +45,7 @@ pub(super) struct Clock {
     within: f64,
     /// The average.
     difference_ns: f64,
-    sync: Option<Sync>,
+    pub(super) sync: Option<Sync>,
 }
 
 impl Clock {
@@ -62,7 +62,7 @@ impl Clock {
         }
     }
 
-    /// It averages differences over this power of two of comparisons (0934h).
+    /// Sets the depth of the average of differences, a power of two of comparisons (0934h).
     pub(super) fn average(&mut self, depth: u8) {
         self.over = f64::from(1_u16 << (depth & 0x0F));
     }
@@ -89,7 +89,7 @@ impl Clock {
         }
     }
 
-    /// Its own time, ns.
+    /// The local time, ns.
     pub(super) fn own(&self) -> u64 {
         self.own & self.mask
     }
@@ -106,11 +106,6 @@ impl Clock {
         if let Some(sync) = &mut self.sync {
             sync.left_ns = (sync.next.wrapping_sub(system_time) & self.mask).into();
         }
-    }
-
-    /// Its delay to the reference clock, ns.
-    pub(super) fn set_delay(&mut self, delay: u32) {
-        self.delay = delay;
     }
 
     /// Compares with the time of the reference clock, of which so many bits came, and adjusts to it.
@@ -149,11 +144,6 @@ impl Clock {
         let next = start & self.mask;
         let left_ns = (next.wrapping_sub(self.system_time()) & self.mask).into();
         self.sync = Some(Sync { next, left_ns, cycle_ns: cycle_ns.into() });
-    }
-
-    /// No SYNC0 any more.
-    pub(super) fn stop(&mut self) {
-        self.sync = None;
     }
 
     /// When the next SYNC0 is; `None`: there is none.
@@ -210,7 +200,7 @@ mod tests {
         let mut clock = started(false, 100, 0.0);
         clock.compare(u64::from(u32::MAX) - 99, 64);
         assert_eq!(shown(&clock), 200);
-        clock.set_delay(300);
+        clock.delay = 300;
         clock.compare(u64::from(u32::MAX) - 99, 32);
         assert_eq!(shown(&clock), -100);
         // All of a long one count only if all came.

@@ -43,7 +43,7 @@ impl Terminals {
         self.digital_bytes() + 2 * usize::from(self.analogue)
     }
 
-    /// Its PDOs: digital terminals by bytes, analogue ones by words.
+    /// The PDOs: digital terminals by bytes, analogue ones by words.
     fn pdos(self, objects: [(u16, u16); 2], manager: u8) -> Vec<(Pdo, u8)> {
         let counts = [(self.digital_bytes() as u8, 8), (self.analogue, 16)];
         let pdo = |((index, object), (count, bits))| {
@@ -57,9 +57,9 @@ impl Terminals {
 /// A coupler with terminals.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Coupler {
-    /// What the master writes.
+    /// Outputs.
     pub outputs: Terminals,
-    /// What the master reads.
+    /// Inputs.
     pub inputs: Terminals,
 }
 
@@ -86,7 +86,7 @@ impl Coupler {
         }
     }
 
-    /// Its SyncManagers in order, outputs first; none for a missing direction.
+    /// The SyncManagers in order, outputs first; none for a missing direction.
     pub fn managers(self) -> Vec<SyncManager> {
         let (outputs, inputs) = (self.outputs.bytes() as u16, self.inputs.bytes() as u16);
         let inputs_at = OUTPUTS_AT + (3 * outputs).next_multiple_of(0x100);

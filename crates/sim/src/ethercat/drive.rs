@@ -51,6 +51,8 @@ use fieldbeat_ethercat::Family;
 const BANDWIDTH_HZ: f64 = 60.0;
 /// Within this of its setpoint a speed is reached, rad/s, and a position, rad (assumed).
 const REACHED: (f64, f64) = (5.0 * RPM, TAU / 1e3);
+/// rpm/s of a quick stop and of the reaction to a fault (assumed).
+const STOP_RPM_S: f64 = 50_000.0;
 /// rpm of one count of 2070h:2 (CAN manual).
 const INCREMENTAL_RPM: f64 = 1_875.0 / 262_144.0;
 /// The target of a drive that comes up running, turns.
@@ -89,7 +91,7 @@ pub struct Drive {
     /// The last control word that was followed, since OP.
     control: Option<u16>,
     /// `None`: its objects have no valid value.
-    cycle_ns: Option<u64>,
+    pub(super) cycle_ns: Option<u64>,
     track: Track,
     /// The target of profile position and homing.
     goal: Option<Aim>,
@@ -152,11 +154,6 @@ impl Drive {
         self.refresh();
     }
 
-    /// The configured cycle of the bus; `None`: the objects have no valid value.
-    pub(super) fn cycle_ns(&self) -> Option<u64> {
-        self.cycle_ns
-    }
-
     /// Cyclic interrupts come from now on. Without objects for its cycle it finds that by them.
     fn start_sync(&mut self) {
         match self.objects.is_settable(CYCLE_UNITS) && self.objects.is_settable(CYCLE_POWER) {
@@ -187,17 +184,17 @@ impl Drive {
         self.power.fault()
     }
 
-    /// It follows the cycle of the bus: warning n17 is gone.
+    /// Whether the drive follows the cycle of the bus: warning n17 is gone.
     pub fn is_synchronous(&self) -> bool {
-        self.sync.is_synchronous()
+        self.sync.synchronous
     }
 
-    /// It has its reference.
+    /// Whether the drive has its reference.
     pub fn is_homed(&self) -> bool {
         self.power.homed
     }
 
-    /// Its true state; its counts are increments.
+    /// The true state of the motor, in increments.
     pub fn truth(&self) -> Truth {
         self.power.truth(self.state.is_powered(), TAU / self.per_turn())
     }
@@ -207,7 +204,7 @@ impl Drive {
         self.power.speed() / RPM
     }
 
-    /// Its reported actual position, before it is cut to 32 bits.
+    /// The actual position before it is cut to 32 bits.
     pub fn position(&self) -> i64 {
         counts(self.power.position(), self.per_turn())
     }
@@ -341,7 +338,7 @@ impl Application for Drive {
                 return Err(code::SYNC_MANAGER);
             }
             (PreOp, SafeOp) => {}
-            (SafeOp, Op) if !self.sync.is_synchronous() => {
+            (SafeOp, Op) if !self.sync.synchronous => {
                 self.fail(fault::SYNCHRONISATION);
                 return Err(code::SYNCHRONISATION);
             }
@@ -433,7 +430,7 @@ impl Application for Drive {
         self.set_up();
     }
 
-    /// Its answer to P->S with SyncManagers of these lengths. A real AKD distinguishes outputs, and so inputs
+    /// The answer to P->S with SyncManagers of these lengths. A real AKD distinguishes outputs, and so inputs
     /// (assumed).
     fn check_sizes(&self, outputs: usize, inputs: usize) -> Result<(), u16> {
         let wanted = self.sizes();

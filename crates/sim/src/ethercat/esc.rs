@@ -40,7 +40,7 @@ impl Esc {
         }
     }
 
-    /// It is as another master has left it.
+    /// Sets registers and state as another master has left them.
     pub(super) fn leave(&mut self, left: &Left) {
         for (n, manager) in (0..).zip(&left.managers) {
             self.chip.write(address::sync_manager(n), manager);
@@ -49,50 +49,49 @@ impl Esc {
             self.chip.write(address::fmmu(n), fmmu);
         }
         self.chip.write(address::STATION, &left.station.to_le_bytes());
-        self.chip.write(address::ALIAS_ENABLE, &[left.alias_on.into()]);
         if left.unwatched {
             self.chip.write(address::WATCHDOG, &[0; 2]);
         }
         if let Some(cycle_ns) = left.sync0_ns {
             // They have one time.
-            let offset = self.chip.clock().own().wrapping_neg();
+            let offset = self.chip.clock.own().wrapping_neg();
             self.chip.write(address::DC_OFFSET, &offset.to_le_bytes());
-            let start = self.chip.clock().system_time() + u64::from(cycle_ns);
+            let start = self.chip.clock.system_time() + u64::from(cycle_ns);
             self.chip.write(address::DC_CYCLE, &cycle_ns.to_le_bytes());
             self.chip.write(address::DC_START, &start.to_le_bytes());
             self.chip.write(address::DC_CONTROL, &SYNC0_ON);
         }
         if left.sii_failed {
-            self.chip.fail_sii();
+            self.chip.eeprom.fail();
         }
         if left.sii_given {
             self.chip.give_sii();
         }
         let (status, code) = left.al;
         self.firmware.leave(&mut self.chip, status, code);
-        self.chip.forget_misuse();
+        self.chip.misuse = Misuse::default();
     }
 
     /// The state it is in.
     pub fn state(&self) -> AlState {
-        self.firmware.state()
+        self.firmware.state
     }
 
     /// Why it refused a state, or fell back, until that is acknowledged.
     pub fn error(&self) -> Option<u16> {
-        self.firmware.error()
+        self.firmware.error
     }
 
     /// The segment's time that it has at `now`, ns.
     pub fn system_time(&mut self, now: Time) -> u64 {
         self.chip.advance(now);
-        self.chip.clock().system_time()
+        self.chip.clock.system_time()
     }
 
     /// The time at `now` until its next SYNC0, ns; `None`: there is none.
     pub fn sync0_in_ns(&mut self, now: Time) -> Option<u64> {
         self.advance(now);
-        self.chip.clock().left_to_sync()
+        self.chip.clock.left_to_sync()
     }
 
     /// The drive behind it, if it is one.
@@ -100,19 +99,19 @@ impl Esc {
         self.firmware.drive()
     }
 
-    /// What a master did since power-on that real hardware would not like.
+    /// Misuse by a master since power-on.
     pub fn misuse(&self) -> Misuse {
-        self.chip.misuse()
+        self.chip.misuse
     }
 
-    /// What a master met since power-on of that which sets this slave apart.
+    /// How often a master met special properties since power-on.
     pub fn met(&self) -> Met {
         self.chip.met
     }
 
     /// The outputs that it drives; none as long as none count.
     pub fn driven(&self) -> &[u8] {
-        self.firmware.driven()
+        &self.firmware.outputs
     }
 
     /// Outputs of another slave are at its inputs.
@@ -120,21 +119,21 @@ impl Esc {
         self.firmware.sense(levels);
     }
 
-    /// It forwards frames and carries out none of them, until this is taken back.
+    /// Makes the slave forward frames without carrying them out, or ends that.
     pub fn deafen(&mut self, deaf: bool) {
         self.deaf = deaf;
     }
 
     /// Power cycle: everything is lost except its EEPROM.
     pub fn restart(&mut self, now: Time) {
-        let sii = self.chip.take_sii();
+        let sii = std::mem::take(&mut self.chip.eeprom.words);
         self.chip = Chip::new(&self.settings, sii);
         self.chip.link(self.links);
         self.firmware.restart(now);
     }
 
-    /// Its processor restarts, while its controller keeps its power: it is in INIT, and all registers that a master has
-    /// written are as they were.
+    /// Restarts the processor while the controller keeps its power: the slave is in INIT with all registers as they
+    /// were.
     pub fn restart_firmware(&mut self, now: Time) {
         self.firmware.restart(now);
         self.firmware.show(&mut self.chip);
@@ -143,7 +142,7 @@ impl Esc {
     /// Advances to `now`, with or without a frame.
     pub fn advance(&mut self, now: Time) {
         self.chip.advance(now);
-        while let Some(late_ns) = self.chip.clock().take_sync() {
+        while let Some(late_ns) = self.chip.clock.take_sync() {
             self.firmware.cycle(&mut self.chip, now - late_ns);
         }
         self.firmware.work(&mut self.chip, now);
@@ -167,8 +166,8 @@ impl Esc {
         if self.deaf {
             return;
         }
-        let is_synchronous = self.chip.clock().next_sync().is_some();
-        let has_outputs = self.chip.managers().iter().any(|manager| manager.is_process(true));
+        let is_synchronous = self.chip.clock.next_sync().is_some();
+        let has_outputs = self.chip.managers.iter().any(|manager| manager.is_process(true));
         if !is_synchronous && (!has_outputs || self.settings.emulated) {
             self.firmware.cycle(&mut self.chip, at);
         }
@@ -178,7 +177,7 @@ impl Esc {
                 self.datagram(datagram);
             }
         }
-        if self.chip.takes_outputs() && !is_synchronous {
+        if std::mem::take(&mut self.chip.outputs) && !is_synchronous {
             self.firmware.cycle(&mut self.chip, at);
         }
         self.firmware.work(&mut self.chip, at);

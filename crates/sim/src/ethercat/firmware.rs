@@ -3,7 +3,7 @@
 
 use std::ops::Range;
 
-use super::chip::Chip;
+use super::chip::{Chip, END};
 use super::codec::registers::{AlState, SyncManager, address, al, code};
 use super::codec::sii::word;
 use super::hardware::Settings;
@@ -19,16 +19,15 @@ const MEMORY: usize = 0x1000;
 #[derive(Debug)]
 pub(super) struct Firmware {
     application: Box<dyn Application>,
-    watchdog_code: u16,
     reaction_ns: u64,
     has_mailbox: bool,
-    /// It reads its SII on the way to PREOP.
+    /// The SII is read on the way to PREOP.
     reads_sii: bool,
     /// The SyncManagers that it wants; empty: it does not compare them.
     wanted: Vec<SyncManager>,
-    state: AlState,
+    pub(super) state: AlState,
     /// Why it refused, or fell back, until that is acknowledged.
-    error: Option<u16>,
+    pub(super) error: Option<u16>,
     /// The requested state of the application that it cannot enter yet.
     pending: Option<AlState>,
     manner: MailboxSettings,
@@ -39,7 +38,7 @@ pub(super) struct Firmware {
     /// The last message put there.
     last: Vec<u8>,
     /// Process data of the present cycle.
-    outputs: Vec<u8>,
+    pub(super) outputs: Vec<u8>,
     inputs: Vec<u8>,
     /// Outputs of another slave that are wired to its inputs.
     sensed: Option<Vec<u8>>,
@@ -50,7 +49,6 @@ impl Firmware {
         let protocols = settings.sii.get(word::PROTOCOLS);
         Firmware {
             application,
-            watchdog_code: settings.watchdog_code,
             reaction_ns: settings.reaction_ns,
             has_mailbox: protocols.is_some_and(|protocols| *protocols != 0),
             reads_sii: settings.sii_access.read_in_preop,
@@ -68,21 +66,6 @@ impl Firmware {
         }
     }
 
-    /// The state it is in.
-    pub(super) fn state(&self) -> AlState {
-        self.state
-    }
-
-    /// Why it refused, or fell back, until that is acknowledged.
-    pub(super) fn error(&self) -> Option<u16> {
-        self.error
-    }
-
-    /// The outputs of the present cycle.
-    pub(super) fn driven(&self) -> &[u8] {
-        &self.outputs
-    }
-
     /// Outputs of another slave are at its inputs.
     pub(super) fn sense(&mut self, levels: &[u8]) {
         let sensed = self.sensed.get_or_insert_default();
@@ -95,7 +78,7 @@ impl Firmware {
         self.application.drive()
     }
 
-    /// It is as another master has left it.
+    /// Takes the state in which another master has left the slave.
     pub(super) fn leave(&mut self, chip: &mut Chip, status: u16, code: u16) {
         self.state = AlState::of(status).unwrap_or_default();
         self.error = (status & al::ERROR != 0).then_some(code);
@@ -124,7 +107,7 @@ impl Firmware {
     pub(super) fn work(&mut self, chip: &mut Chip, now: Time) {
         self.application.advance(now);
         self.stay(chip, now);
-        if chip.requested().is_some_and(|requested| now.since(requested) >= self.reaction_ns) {
+        if chip.requested.is_some_and(|requested| now.since(requested) >= self.reaction_ns) {
             let request = chip.take_request();
             self.take(chip, request, now);
         }
@@ -173,9 +156,11 @@ impl Firmware {
         let code = match dropped {
             Some(code) => code,
             None if expired => {
-                // It is informed, not asked.
+                // The application is informed; its answer does not count.
                 let _ = self.application.may_enter(at, AlState::SafeOp);
-                self.watchdog_code
+                // That of a Kollmorgen S300 ... S700 is not known; of the codes in its manual only that of
+                // synchronisation would fit.
+                code::WATCHDOG
             }
             None => return,
         };
@@ -193,13 +178,13 @@ impl Firmware {
             return;
         }
         (self.error, self.pending) = (None, None);
-        chip.identify(request & al::IDENTIFICATION != 0);
+        chip.identifies = request & al::IDENTIFICATION != 0;
         match AlState::of(request) {
             None => self.refuse(code::UNKNOWN_STATE),
             Some(state) if state == self.state => {}
             Some(state) if !leads(self.state, state) => self.refuse(code::INVALID_REQUEST),
             Some(state) if state < self.state => {
-                // It is informed, not asked.
+                // The application is informed; its answer does not count.
                 let _ = self.application.may_enter(now, state);
                 self.enter(chip, state, now);
             }
@@ -252,7 +237,7 @@ impl Firmware {
         match state {
             AlState::PreOp if self.reads_sii && !chip.has_sii() => Err(code::NO_SII),
             AlState::PreOp if self.has_mailbox => {
-                let fits = |n: usize, output| chip.managers().get(n).is_some_and(|m| m.is_mailbox(output));
+                let fits = |n: usize, output| chip.managers.get(n).is_some_and(|m| m.is_mailbox(output));
                 if fits(0, true) && fits(1, false) { self.compare(chip, state) } else { Err(code::MAILBOX) }
             }
             AlState::SafeOp | AlState::Op => {
@@ -267,7 +252,7 @@ impl Firmware {
     fn compare(&self, chip: &Chip, state: AlState) -> Result<(), u16> {
         for (n, wanted) in self.wanted.iter().enumerate() {
             let is_due = wanted.is_mailbox() || state >= AlState::SafeOp;
-            let set = chip.managers().get(n).map(Manager::setting).unwrap_or_default();
+            let set = chip.managers.get(n).map(|manager| manager.setting).unwrap_or_default();
             let fits = SyncManager { activate: wanted.activate, ..set } == *wanted;
             if is_due && wanted.length > 0 && !(fits && set.activate & 1 == wanted.activate & 1) {
                 return Err(match (wanted.is_mailbox(), wanted.is_output()) {
@@ -281,10 +266,10 @@ impl Firmware {
     }
 
     fn check_process(&self, chip: &Chip) -> Result<(), u16> {
-        let managers: Vec<&Manager> = chip.managers().iter().filter(|manager| manager.is_on()).collect();
+        let managers: Vec<&Manager> = chip.managers.iter().filter(|manager| manager.is_on()).collect();
         let areas: Vec<Range<usize>> =
             managers.iter().map(|manager| manager.footprint()).filter(|area| area.start >= MEMORY).collect();
-        if areas.iter().any(|area| area.end > chip.memory_end()) || overlap(areas) {
+        if areas.iter().any(|area| area.end > END) || overlap(areas) {
             return Err(code::SYNC_MANAGER);
         }
         let bytes = |output| -> usize {
@@ -313,7 +298,7 @@ impl Firmware {
                 self.post(chip, now);
             }
         }
-        let is_due = chip.filled().is_some_and(|filled| now.since(filled) >= self.reaction_ns);
+        let is_due = chip.filled.is_some_and(|filled| now.since(filled) >= self.reaction_ns);
         if is_due && self.waiting.is_none() {
             let request = chip.take_message();
             let mut reply = Vec::new();

@@ -37,11 +37,11 @@ pub(super) struct Request {
 /// The value that was read, or why a request is not carried out.
 pub(super) type Answer = Result<Vec<u8>, u32>;
 
-/// What a message leads to.
+/// The consequence of a message.
 enum Step {
-    /// It is to be carried out.
+    /// An SDO to be carried out.
     Request(Request),
-    /// It is answered like this.
+    /// An answer.
     Answer(Vec<u8>),
 }
 

@@ -4,22 +4,17 @@ use std::ops::Range;
 
 use super::codec::registers::{AlState, SyncManager};
 
-const WRITTEN: u8 = SyncManager::WRITTEN;
-const READ: u8 = SyncManager::READ;
-const ON: u8 = SyncManager::ON;
-const REPEAT: u8 = SyncManager::REPEAT;
-
 /// One SyncManager.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Manager {
-    setting: SyncManager,
+    pub(super) setting: SyncManager,
     status: u8,
     /// The slave's side of the repeat bit.
     repeated: bool,
-    /// Of the slave: below the state that needs it the buffer is locked.
+    /// The state of the slave: below the one that needs the buffer it is locked.
     state: AlState,
     /// The last completely written outputs.
-    taken: Vec<u8>,
+    pub(super) taken: Vec<u8>,
 }
 
 impl Manager {
@@ -27,7 +22,7 @@ impl Manager {
     pub(super) fn set(&mut self, setting: SyncManager) {
         let is_same = SyncManager { activate: self.setting.activate, ..setting } == self.setting;
         self.setting = setting;
-        if !is_same || setting.activate & ON == 0 {
+        if !is_same || setting.activate & SyncManager::ON == 0 {
             self.clear();
         }
     }
@@ -49,28 +44,26 @@ impl Manager {
         self.state < if self.setting.is_mailbox() { AlState::PreOp } else { AlState::SafeOp }
     }
 
-    /// As set by the master.
-    pub(super) fn setting(&self) -> SyncManager {
-        self.setting
-    }
-
     /// Status and the slave's control, as they stand in the registers.
     pub(super) fn registers(&self) -> (u8, u8) {
-        (self.status, u8::from(self.is_on() && self.is_locked()) | if self.repeated { REPEAT } else { 0 })
+        (
+            self.status,
+            u8::from(self.is_on() && self.is_locked()) | if self.repeated { SyncManager::REPEAT } else { 0 },
+        )
     }
 
     /// The master switched it on.
     pub(super) fn is_on(&self) -> bool {
-        self.setting.activate & ON != 0 && self.setting.length > 0
+        self.setting.activate & SyncManager::ON != 0 && self.setting.length > 0
     }
 
-    /// Its buffer; empty if it is off.
+    /// The buffer in memory; empty if the SyncManager is off.
     pub(super) fn area(&self) -> Range<usize> {
         let start = usize::from(self.setting.start);
         start..start + if self.is_on() { usize::from(self.setting.length) } else { 0 }
     }
 
-    /// Its memory: process data has three buffers.
+    /// The memory that is occupied: process data has three buffers.
     pub(super) fn footprint(&self) -> Range<usize> {
         let area = self.area();
         let copies = if self.setting.is_mailbox() { 1 } else { 3 };
@@ -104,7 +97,7 @@ impl Manager {
 
     /// The mailbox was written by the master, or read.
     pub(super) fn event(&self) -> bool {
-        self.status & if self.setting.is_output() { WRITTEN } else { READ } != 0
+        self.status & if self.setting.is_output() { SyncManager::WRITTEN } else { SyncManager::READ } != 0
     }
 
     /// The master has read this range of the memory.
@@ -114,7 +107,11 @@ impl Manager {
             return;
         }
         if range.contains(&(area.end - 1)) {
-            self.status = if self.setting.is_mailbox() { READ } else { self.status & !WRITTEN | READ };
+            self.status = if self.setting.is_mailbox() {
+                SyncManager::READ
+            } else {
+                self.status & !SyncManager::WRITTEN | SyncManager::READ
+            };
         }
     }
 
@@ -125,9 +122,9 @@ impl Manager {
             return false;
         }
         if self.setting.is_mailbox() {
-            self.status = WRITTEN | SyncManager::FULL;
+            self.status = SyncManager::WRITTEN | SyncManager::FULL;
         } else {
-            self.status = self.status & !READ | WRITTEN;
+            self.status = self.status & !SyncManager::READ | SyncManager::WRITTEN;
             self.taken.clear();
             self.taken.extend_from_slice(memory.get(area).unwrap_or_default());
         }
@@ -136,23 +133,18 @@ impl Manager {
 
     /// The slave has taken the message.
     pub(super) fn take(&mut self) {
-        self.status = READ;
+        self.status = SyncManager::READ;
     }
 
     /// The slave has put a message, or inputs, there.
     pub(super) fn put(&mut self) {
         let full = if self.setting.is_mailbox() { SyncManager::FULL } else { 0 };
-        self.status = WRITTEN | full;
-    }
-
-    /// The last completely written outputs; none until then.
-    pub(super) fn taken(&self) -> &[u8] {
-        &self.taken
+        self.status = SyncManager::WRITTEN | full;
     }
 
     /// The master requests the last message again; returned once.
     pub(super) fn takes_repeat(&mut self) -> bool {
-        let requested = self.setting.activate & REPEAT != 0;
+        let requested = self.setting.activate & SyncManager::REPEAT != 0;
         std::mem::replace(&mut self.repeated, requested) != requested
     }
 }

@@ -7,7 +7,7 @@ use super::codec::objects::{Object, Pdo, Type};
 
 /// PDOs in each direction, and entries of each (assumed).
 const PDOS: u16 = 4;
-const ENTRIES: usize = 8;
+pub(super) const ENTRIES: usize = 8;
 const OUTPUTS: u16 = 0x1600;
 const INPUTS: u16 = 0x1A00;
 
@@ -30,11 +30,6 @@ impl Mapping {
     /// Whether an object is one of theirs.
     pub(super) fn has(&self, object: Object) -> bool {
         self.0.iter().any(|(_, pdo)| pdo.index == object.index)
-    }
-
-    /// The number of subindices after the count.
-    pub(super) fn subs(&self) -> u8 {
-        ENTRIES as u8
     }
 
     pub(super) fn read(&self, object: Object) -> Result<Vec<u8>, u32> {

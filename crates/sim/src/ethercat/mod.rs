@@ -67,7 +67,7 @@ mod simulation;
 mod slave;
 mod sync;
 #[cfg(test)]
-mod testing;
+mod tests;
 mod topology;
 
 use std::fmt::Debug;
@@ -100,7 +100,7 @@ pub trait Application: Debug + Send {
     /// not count, nor for SAFEOP when the watchdog forces it out of OP.
     fn may_enter(&mut self, now: Time, state: AlState) -> Result<(), u16>;
 
-    /// Its cycle, in SAFEOP and OP: with SYNC0, or with each output if there is no SYNC0, or with each frame if
+    /// Runs a cycle, in SAFEOP and OP: with SYNC0, or with each output if there is no SYNC0, or with each frame if
     /// there are no outputs. `outputs` is empty as long as none count: below OP, and until they have come. `inputs`
     /// holds its last inputs.
     fn process(&mut self, now: Time, outputs: &[u8], inputs: &mut [u8]);

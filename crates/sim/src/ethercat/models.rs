@@ -77,23 +77,23 @@ impl Model {
         ROWS[self as usize]
     }
 
-    /// Its name.
+    /// The name.
     pub fn name(self) -> &'static str {
         self.row().1
     }
 
-    /// Its identity.
+    /// The identity.
     pub fn identity(self) -> Identity {
         let (_, _, product, revision, _) = self.row();
         Identity { vendor: BECKHOFF, product, revision }
     }
 
-    /// It has no processor.
+    /// Whether the device has no processor.
     pub fn is_emulated(self) -> bool {
         self != Model::El3102
     }
 
-    /// What its ports are: a coupler has one more, a junction two.
+    /// Port types: a coupler has one port more than a terminal, a junction two.
     pub(super) fn ports(self) -> u8 {
         match self {
             Model::Ek1100 => 0x3B,
@@ -102,7 +102,7 @@ impl Model {
         }
     }
 
-    /// Its digital terminals.
+    /// The digital channels.
     pub(super) fn terminals(self) -> Coupler {
         let (outputs, inputs) = self.row().4;
         let digital = |digital| Terminals { digital, analogue: 0 };

@@ -3,6 +3,7 @@
 //! Knows nothing of an object's effect.
 
 use super::codec::mailbox::abort;
+use super::codec::objects::number::ERROR_COUNT;
 use super::codec::objects::{Access, Object, Pdo, Row, Type, dictionary};
 use super::codec::registers::AlState;
 use super::settings::DriveSettings;
@@ -15,7 +16,7 @@ pub(super) struct Objects {
     values: Vec<i64>,
     /// The contents of its fixed PDOs, read only: each is an object with its own number (ETG.1000.6, 5.6.7.4).
     /// Masters read them to learn sizes.
-    fixed: Vec<(Object, Vec<u8>)>,
+    fixed: Vec<Pdo>,
     /// These can only be read, by their index.
     read_only: Vec<u16>,
 }
@@ -25,9 +26,16 @@ impl Objects {
     pub(super) fn new(settings: &DriveSettings) -> Objects {
         let mut rows = dictionary(settings.family);
         rows.retain(|(object, ..)| !settings.without.contains(&object.index));
-        let fixed = settings.layouts.iter().flat_map(mapping).collect();
         let values = vec![0; rows.len()];
-        let mut objects = Objects { rows, values, fixed, read_only: settings.read_only.clone() };
+        let (fixed, read_only) = (settings.layouts.clone(), settings.read_only.clone());
+        let mut objects = Objects { rows, values, fixed, read_only };
+        for place in 1..objects.rows.len() {
+            // Subindex 0 is the highest one; no fault is stored in 1003h.
+            let (Object { index, sub }, ..) = objects.rows[place];
+            if sub > 0 && index != ERROR_COUNT.index {
+                objects.set(Object::new(index, 0), sub.into());
+            }
+        }
         settings.delivered().into_iter().for_each(|(object, value)| objects.set(object, value));
         objects
     }
@@ -41,12 +49,12 @@ impl Objects {
         self.find(object).map_or(0, |place| self.values[place])
     }
 
-    /// It exists.
+    /// Whether an object exists.
     pub(super) fn has(&self, object: Object) -> bool {
         self.find(object).is_some()
     }
 
-    /// It exists, and may be written in some state.
+    /// Whether an object exists and may be written in some state.
     pub(super) fn is_settable(&self, object: Object) -> bool {
         self.has(object) && !self.read_only.contains(&object.index)
     }
@@ -58,31 +66,31 @@ impl Objects {
         }
     }
 
-    /// The entry of a fixed PDO.
-    fn mapping(&self, object: Object) -> Option<&[u8]> {
-        self.fixed.iter().find(|(own, _)| *own == object).map(|(_, bytes)| &bytes[..])
+    /// The value of an object that describes a fixed PDO.
+    fn fixed(&self, object: Object) -> Option<Vec<u8>> {
+        self.fixed.iter().find(|pdo| pdo.index == object.index)?.value(object.sub)
     }
 
     /// The row of an existing object.
     fn row(&self, object: Object) -> Result<Row, u32> {
         let place = self.find(object).ok_or_else(|| {
-            let fixed = self.fixed.iter().map(|(own, _)| own);
-            let mut all = self.rows.iter().map(|(own, ..)| own).chain(fixed);
-            if all.any(|own| own.index == object.index) { abort::NO_SUB } else { abort::NO_OBJECT }
+            let fixed = self.fixed.iter().map(|pdo| pdo.index);
+            let mut all = self.rows.iter().map(|(own, ..)| own.index).chain(fixed);
+            if all.any(|index| index == object.index) { abort::NO_SUB } else { abort::NO_OBJECT }
         })?;
         Ok(self.rows[place])
     }
 
-    /// Its bytes for an SDO.
+    /// The bytes of an object for an SDO.
     pub(super) fn read(&self, object: Object) -> Result<Vec<u8>, u32> {
-        if let Some(bytes) = self.mapping(object) {
-            return Ok(bytes.to_vec());
+        if let Some(bytes) = self.fixed(object) {
+            return Ok(bytes);
         }
         let (_, kind, ..) = self.row(object)?;
         Ok(self.get(object).to_le_bytes()[..kind.bytes()].to_vec())
     }
 
-    /// Its size in an SDO, bytes.
+    /// The size of an object in an SDO, bytes.
     pub(super) fn size(&self, object: Object) -> Result<usize, u32> {
         self.row(object).map(|(_, kind, ..)| kind.bytes())
     }
@@ -100,7 +108,7 @@ impl Objects {
 
     /// The value that an SDO would write to it, if it may in this state.
     pub(super) fn written(&self, object: Object, data: &[u8], state: AlState) -> Result<i64, u32> {
-        if self.mapping(object).is_some() {
+        if self.fixed(object).is_some() {
             return Err(abort::READ_ONLY);
         }
         let (_, kind, access, (low, high)) = self.row(object)?;
@@ -119,14 +127,4 @@ impl Objects {
             value => Ok(value),
         }
     }
-}
-
-/// The objects of a fixed PDO: the number of entries, and index, subindex and bits of each.
-fn mapping(pdo: &Pdo) -> Vec<(Object, Vec<u8>)> {
-    let count = (Object::new(pdo.index, 0), vec![pdo.entries.len() as u8]);
-    let entries = (1..).zip(&pdo.entries).map(|(sub, (object, bits))| {
-        let [low, high] = object.index.to_le_bytes();
-        (Object::new(pdo.index, sub), vec![*bits, object.sub, low, high])
-    });
-    std::iter::once(count).chain(entries).collect()
 }

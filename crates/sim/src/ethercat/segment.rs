@@ -38,7 +38,7 @@ impl Segment {
     /// Cuts the cable in front of slave `n`, counted from 0, or repairs it. Frames turn at the slave before it; if
     /// there is none, no slave is reached.
     pub fn cut(&mut self, n: Option<usize>) {
-        self.topology.cut(n);
+        self.topology.cut = n;
         self.link();
     }
 
@@ -63,7 +63,7 @@ impl Segment {
         self.wires.push((from, to));
     }
 
-    /// What is wired is at the inputs.
+    /// Copies outputs to the inputs that they are wired to.
     fn sense(&mut self) {
         for &(from, to) in &self.wires {
             if let Ok([output, input]) = self.slaves.get_disjoint_mut([from, to]) {
@@ -133,11 +133,11 @@ impl Segment {
 #[cfg(test)]
 mod tests {
     use super::super::Settings;
-    use super::super::codec::frame::Command::{Bwr, Frmw, Lrw};
-    use super::super::codec::registers::{AlState, address};
-    use super::super::testing::{Bench, logical};
+    use super::super::codec::frame::Command::Lrw;
+    use super::super::codec::registers::AlState;
+    use super::super::tests::{Bench, logical};
     use crate::testing::hex;
-    use fieldbeat_core::time::{MS, US};
+    use fieldbeat_core::time::MS;
 
     fn pass(bench: &mut Bench, sent: &str) -> Vec<u8> {
         let mut frame = hex(sent);
@@ -219,55 +219,5 @@ mod tests {
             "it was reported at once"
         );
         assert!(bench.segment.slave(2).is_none());
-    }
-
-    /// A master's use of the receive times: the delay from one slave to the next.
-    fn delays(bench: &mut Bench) -> Vec<u32> {
-        bench.send((Bwr, 0, address::DC_PORTS), &[0; 4]);
-        let mut round = |n: u16| {
-            let [a, b, c, d, e, f, g, h] = bench.read(n, address::DC_PORTS).unwrap();
-            let [out, back] = [[a, b, c, d], [e, f, g, h]].map(u32::from_le_bytes);
-            if back == 0 { 0 } else { back.wrapping_sub(out) }
-        };
-        let rounds = [0, 1, 2, 3].map(&mut round);
-        rounds.windows(2).map(|pair| (pair[0] - pair[1]) / 2).collect()
-    }
-
-    #[test]
-    fn clocks_with_offsets_and_delays_go_together_over_the_wrap_of_one() {
-        let slaves = [(0, 50.0, 0x018C), (1, -100.0, 0x018C), (2, 100.0, 0x0184), (3, 0.0, 0x018C)];
-        let settings = slaves.map(|(n, drift_ppm, features)| Settings {
-            features: features,
-            clock_ns: (1 << 32) - 700_000_000 + 1_000 * n,
-            drift_ppm,
-            delay_ns: 100 * (n + 1),
-            ..Settings::default()
-        });
-        let mut bench = Bench::new(settings.to_vec());
-        assert_eq!(delays(&mut bench), [200, 300, 400]);
-        let received = [0, 1, 2, 3].map(|n| u64::from_le_bytes(bench.read(n, address::DC_RECEIVED).unwrap()));
-        for (n, delay) in [(1, 200_u64), (2, 500), (3, 900)] {
-            let offset = (received[0] + delay).wrapping_sub(received[usize::from(n)]);
-            bench.write(n, address::DC_OFFSET, &offset.to_le_bytes());
-            bench.write(n, address::DC_DELAY, &(delay as u32).to_le_bytes());
-        }
-        for cycle in 0..2_000 {
-            bench.wait(MS);
-            // The slave with a short clock takes the lower half only.
-            bench.send((Frmw, 0x1001, address::DC_TIME), &[0; 8]);
-            if cycle < 1_000 {
-                continue;
-            }
-            for n in 1..4 {
-                let difference = u32::from_le_bytes(bench.read(n, address::DC_DIFFERENCE).unwrap());
-                assert!(difference & 0x7FFF_FFFF <= 2, "slave {n} in cycle {cycle}");
-            }
-        }
-        let now = bench.now + US;
-        let times = [0, 1, 2, 3].map(|n| bench.segment.slave(n).unwrap().system_time(now));
-        assert!(times[0] > 1 << 32, "it has gone round");
-        for (n, time) in times.into_iter().enumerate() {
-            assert!((time as u32).wrapping_sub(times[0] as u32).cast_signed().abs() <= 3, "slave {n}");
-        }
     }
 }

@@ -23,14 +23,12 @@ pub enum Dialect {
 pub struct DriveSettings {
     /// The drive family: its objects and modes.
     pub family: Family,
-    /// Its identity.
+    /// The identity.
     pub identity: Identity,
-    /// Its serial number. Default 0.
+    /// The serial number. Default 0.
     pub serial: u32,
     /// How it answers an SDO.
     pub dialect: Dialect,
-    /// Its name, 1008h. Default: the family's; of an AKD a long one, since it can be read.
-    pub name: String,
     /// Bytes of the mailbox that the master reads, of a drive that supports more than SDOs of four bytes: normal
     /// and segmented ones, and complete access. Default: 1024 of an AKD, and none of the others.
     pub long_sdos: Option<u16>,
@@ -42,7 +40,7 @@ pub struct DriveSettings {
     pub prbase: u8,
     /// Turns to which its increments in 608Fh refer: the value there is larger by this factor. Default 1.
     pub resolution_turns: u32,
-    /// Its position at power-on, increments. Default 0.
+    /// The position at power-on, increments. Default 0.
     pub position: i32,
     /// rpm per count of 606Bh, 606Ch, 60FFh, 6081h and 6099h. Default: increments per 250 us, as its sister AX2000
     /// has it; of an AKD 0.001.
@@ -51,8 +49,6 @@ pub struct DriveSettings {
     pub permille_per_count: f64,
     /// rpm/s up and down: 6083h and 6084h as delivered, in these units like 609Ah (assumed). Default 10 000.
     pub ramps_rpm_s: (u32, u32),
-    /// rpm/s of a quick stop and of the reaction to a fault. Default 50 000.
-    pub stop_rpm_s: f64,
     /// Position of the home switch, turns from the motor at power-on; `None`: nowhere. Default 0.5.
     pub home_turns: Option<f64>,
     /// Cyclic interrupts inside the window, one after the other, until the drive is synchronous. Default 100.
@@ -61,9 +57,9 @@ pub struct DriveSettings {
     pub without: Vec<u16>,
     /// Objects that it does not let be written, by their index. Default: none but those of its family.
     pub read_only: Vec<u16>,
-    /// It changes its mode so long after 6060h, and shows it from then on, ns. Default 0.
+    /// The delay from 6060h to the change of mode and of 6061h, ns. Default 0.
     pub mode_delay_ns: u64,
-    /// It comes up in OP and in operation, turning at so many rpm, as if another master had died with its watchdog
+    /// The drive comes up in OP and in operation, turning at so many rpm, as if another master had died with its watchdog
     /// off. Default: it comes up in INIT and stands still.
     pub running_rpm: Option<f64>,
     /// The hardware enable (STO) is wired and closed. Default true.
@@ -79,6 +75,13 @@ const AKD: &str = "AKD-P00306-NBEC-0000 (a simulated drive)";
 /// Vendor of all of them.
 const KOLLMORGEN: u32 = 0x6A;
 
+/// Values of objects, each with index and subindex in one number.
+macro_rules! values {
+    ($($object:literal: $value:expr;)*) => {
+        vec![$((Object::of($object), $value)),*]
+    };
+}
+
 impl DriveSettings {
     /// A drive with default settings.
     pub fn new(family: Family) -> DriveSettings {
@@ -91,10 +94,6 @@ impl DriveSettings {
             identity: Identity { vendor: KOLLMORGEN, product, ..Identity::default() },
             serial: 0,
             dialect: Dialect::default(),
-            name: match family {
-                Family::S700 => "S700".into(),
-                Family::Akd => AKD.into(),
-            },
             long_sdos: (family == Family::Akd).then_some(1_024),
             layouts: fixed_pdos(family),
             selected,
@@ -104,7 +103,6 @@ impl DriveSettings {
             rpm_per_count,
             permille_per_count: 1.0,
             ramps_rpm_s: (10_000, 10_000),
-            stop_rpm_s: 50_000.0,
             home_turns: Some(0.5),
             interrupts_to_sync: 100,
             without: Vec::new(),
@@ -121,14 +119,19 @@ impl DriveSettings {
         1 << self.prbase.clamp(1, 31)
     }
 
-    /// As much of its name as an expedited SDO has room for.
+    /// The device name, 1008h: that of an AKD is a long one, since it can be read.
+    pub(super) fn name(&self) -> &'static str {
+        if self.family == Family::S700 { "S700" } else { AKD }
+    }
+
+    /// As much of the name as an expedited SDO has room for.
     fn short_name(&self) -> [u8; 4] {
         let mut short = *b"    ";
-        short.iter_mut().zip(self.name.bytes()).for_each(|(place, byte)| *place = byte);
+        short.iter_mut().zip(self.name().bytes()).for_each(|(place, byte)| *place = byte);
         short
     }
 
-    /// Values of objects as delivered, where they are not 0.
+    /// Values of objects as delivered, where they are not 0, but for the numbers of subindices.
     pub(super) fn delivered(&self) -> Vec<(Object, i64)> {
         let Identity { vendor, product, revision } = self.identity;
         let increments = i64::from(self.increments());
@@ -139,62 +142,18 @@ impl DriveSettings {
             Family::Akd => mode::INTERPOLATED,
         };
         let text = |text: [u8; 4]| i64::from(u32::from_le_bytes(text));
-        [
-            (0x1000, 0, 0x0002_0192),
-            (0x1008, 0, text(self.short_name())),
-            (0x1009, 0, text(*b"1.00")),
-            (0x100A, 0, text(*b"5.00")),
-            (0x1018, 0, 4),
-            (0x1018, 1, vendor.into()),
-            (0x1018, 2, product.into()),
-            (0x1018, 3, revision.into()),
-            (0x1018, 4, self.serial.into()),
-            (0x1C00, 0, 4),
-            (0x1C00, 1, 1),
-            (0x1C00, 2, 2),
-            (0x1C00, 3, 3),
-            (0x1C00, 4, 4),
-            (0x1C12, 0, 1),
-            (0x1C12, 1, self.selected.0.into()),
-            (0x1C13, 0, 1),
-            (0x1C13, 1, self.selected.1.into()),
-            (0x1C32, 0, 2),
-            (0x1C32, 1, 2),
-            (0x1C33, 0, 2),
-            (0x1C33, 1, 2),
-            (0x35D5, 1, 4),
-            (0x6060, 0, mode.into()),
-            (0x6065, 0, increments / 4),
-            (0x6072, 0, 3_000),
-            (0x607F, 0, rpm(6_000.0)),
-            (0x6080, 0, 6_000),
-            (0x6083, 0, up.into()),
-            (0x6084, 0, down.into()),
-            (0x6081, 0, rpm(1_000.0)),
-            (0x608F, 0, 2),
-            (0x608F, 1, increments.saturating_mul(i64::from(self.resolution_turns))),
-            (0x608F, 2, self.resolution_turns.into()),
-            (0x6092, 0, 2),
-            (0x6092, 1, increments),
-            (0x6092, 2, 1),
-            (0x6093, 0, 2),
-            (0x6093, 1, 1),
-            (0x6093, 2, 1),
-            (0x6098, 0, 1),
-            (0x6099, 0, 2),
-            (0x6099, 1, rpm(60.0)),
-            (0x6099, 2, rpm(6.0)),
-            (0x609A, 0, 1_000),
-            (0x60C1, 0, 1),
-            (0x60E0, 0, 3_000),
-            (0x60E1, 0, 3_000),
-            (0x60C2, 0, 2),
-            (0x60C2, 1, 1),
-            (0x60C2, 2, -3),
-            (0x60FE, 0, 1),
-        ]
-        .map(|(index, sub, value)| (Object::new(index, sub), value))
-        .to_vec()
+        values! {
+            0x100000: 0x0002_0192; 0x100800: text(self.short_name()); 0x100900: text(*b"1.00");
+            0x100A00: text(*b"5.00"); 0x101801: vendor.into(); 0x101802: product.into();
+            0x101803: revision.into(); 0x101804: self.serial.into(); 0x1C0001: 1; 0x1C0002: 2; 0x1C0003: 3;
+            0x1C0004: 4; 0x1C1201: self.selected.0.into(); 0x1C1301: self.selected.1.into(); 0x1C3201: 2;
+            0x1C3301: 2; 0x35D501: 4; 0x606000: mode.into(); 0x606500: increments / 4; 0x607200: 3_000;
+            0x607F00: rpm(6_000.0); 0x608000: 6_000; 0x608300: up.into(); 0x608400: down.into();
+            0x608100: rpm(1_000.0); 0x608F01: increments.saturating_mul(i64::from(self.resolution_turns));
+            0x608F02: self.resolution_turns.into(); 0x609201: increments; 0x609202: 1; 0x609301: 1;
+            0x609302: 1; 0x609800: 1; 0x609901: rpm(60.0); 0x609902: rpm(6.0); 0x609A00: 1_000;
+            0x60E000: 3_000; 0x60E100: 3_000; 0x60C201: 1; 0x60C202: -3;
+        }
     }
 }
 
@@ -214,10 +173,7 @@ pub struct SegmentSettings {
     /// real one, with its filters as delivered, takes about 1 000, and some thousand until it has settled (SOEM
     /// waits 15 000; assumed).
     pub settling: u16,
-    /// The number of FMMUs of the slave at a position; the last value holds for all further slaves. Default: 8.
-    /// Small couplers have 2 or 3, and none to spare for their state.
-    pub fmmus: Vec<u8>,
-    /// What sets the slave at a position apart.
+    /// Settings of the slave at a position.
     pub slaves: BTreeMap<u16, SlaveSettings>,
     /// Each slave shows its device id in its AL status: its position. Default: none does.
     pub device_ids: bool,
@@ -233,7 +189,6 @@ impl Default for SegmentSettings {
             delay_ns: 500,
             short_clocks: false,
             settling: 32,
-            fmmus: Vec::new(),
             slaves: BTreeMap::new(),
             device_ids: false,
             faults: FaultPlan::default(),

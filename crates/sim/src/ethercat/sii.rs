@@ -15,7 +15,7 @@ const KIBIT_16: u16 = 15;
 pub struct Mailboxes {
     /// Start and length of the one that the master writes.
     pub out: (u16, u16),
-    /// Of the one that it reads.
+    /// The same of the one that the master reads.
     pub input: (u16, u16),
     /// AoE, EoE, CoE and so on, a bit each.
     pub protocols: u16,
@@ -28,19 +28,19 @@ pub struct Contents {
     pub name: &'static str,
     /// The slave's identity.
     pub identity: Identity,
-    /// Its serial number.
+    /// The serial number.
     pub serial: u32,
-    /// Its alias; 0: none.
+    /// The alias; 0: none.
     pub alias: u16,
-    /// Its mailboxes, if there are any.
+    /// The mailboxes, if there are any.
     pub mailboxes: Option<Mailboxes>,
     /// The use of each FMMU: 1 outputs, 2 inputs, 3 the state of the mailbox.
     pub fmmus: Vec<u8>,
-    /// Its SyncManagers.
+    /// The SyncManagers.
     pub managers: Vec<SyncManager>,
-    /// Its input PDOs, each with its SyncManager.
+    /// The input PDOs, each with its SyncManager.
     pub inputs: Vec<(Pdo, u8)>,
-    /// Its output PDOs.
+    /// The output PDOs, each with its SyncManager.
     pub outputs: Vec<(Pdo, u8)>,
 }
 
@@ -118,7 +118,7 @@ fn entry(manager: SyncManager) -> [u8; 8] {
 
 /// A command to be completed at its time.
 #[derive(Clone, Copy, Debug)]
-struct Job {
+pub(super) struct Job {
     done_at: Time,
     command: u16,
     address: u32,
@@ -128,15 +128,15 @@ struct Job {
 /// The EEPROM and the unit that reads it.
 #[derive(Debug)]
 pub(super) struct Eeprom {
-    words: Vec<u16>,
+    pub(super) words: Vec<u16>,
     access: SiiSettings,
     error: u16,
-    job: Option<Job>,
-    data: [u8; 8],
-    /// It has been busy since power-on.
+    pub(super) job: Option<Job>,
+    pub(super) data: [u8; 8],
+    /// The load after power-on has begun.
     loaded: bool,
     /// The address that the first read has returned.
-    slipped: Option<u32>,
+    pub(super) slipped: Option<u32>,
     /// Reads that were completed.
     reads: u32,
 }
@@ -177,30 +177,10 @@ impl Eeprom {
         usize::try_from(address).ok().and_then(|at| self.words.get(at)).copied().unwrap_or(0xFFFF)
     }
 
-    /// Takes the words as they are now: they survive a restart.
-    pub(super) fn take_words(&mut self) -> Vec<u16> {
-        std::mem::take(&mut self.words)
-    }
-
-    /// A command is being carried out: its registers are locked.
-    pub(super) fn is_busy(&self) -> bool {
-        self.job.is_some()
-    }
-
     /// Control and status.
     pub(super) fn status(&self) -> u16 {
         let flag = |is: bool, bit: u16| if is { bit } else { 0 };
         self.error | flag(self.access.eight, bit::EIGHT) | self.job.map_or(0, |job| bit::BUSY | job.command)
-    }
-
-    /// The read data.
-    pub(super) fn data(&self) -> [u8; 8] {
-        self.data
-    }
-
-    /// The address of the data, if it is not the requested one; returned once.
-    pub(super) fn slipped_to(&mut self) -> Option<u32> {
-        self.slipped.take()
     }
 
     /// Takes a command; the idle one ends an error. True: it is done already.
@@ -266,6 +246,7 @@ impl Eeprom {
 mod tests {
     use super::*;
     use crate::ethercat::codec::objects::Object;
+    use crate::testing::hex;
 
     const T: Time = Time(5);
 
@@ -287,29 +268,23 @@ mod tests {
 
     fn read(eeprom: &mut Eeprom, address: u32) -> [u8; 8] {
         eeprom.command(T, bit::READ, address, 0);
-        eeprom.data()
+        eeprom.data
     }
 
     #[test]
-    fn its_categories_can_be_walked_to_the_end() {
+    fn categories_follow_one_another_to_the_end() {
         let words = contents().image();
-        let bytes = |at: usize, count: usize| -> Vec<u8> {
-            words[at..at + count].iter().flat_map(|word| word.to_le_bytes()).collect()
-        };
-        let mut at = word::CATEGORIES;
-        let mut found = Vec::new();
-        while words[at] != 0xFFFF {
-            let length = usize::from(words[at + 1]);
-            found.push((words[at], bytes(at + 2, length)));
-            at += 2 + length;
-        }
-        let kinds: Vec<u16> = found.iter().map(|(kind, _)| *kind).collect();
-        assert_eq!(kinds, [10, 30, 40, 41, 50]);
-        assert_eq!(found[0].1, [1, 4, b'S', b'7', b'0', b'0']);
-        assert_eq!(found[2].1, [1, 2, 3, 0]);
-        assert_eq!(found[3].1[..8], [0x00, 0x18, 0x00, 0x04, 0x26, 0, 1, 1]);
-        assert_eq!(found[3].1[15], 2);
-        assert_eq!(found[4].1[..16], [0x03, 0x1B, 2, 3, 0, 0, 0, 0, 0x64, 0x60, 0, 0, 0, 32, 0, 0]);
+        let bytes: Vec<u8> = words[word::CATEGORIES..].iter().flat_map(|word| word.to_le_bytes()).collect();
+        let general = format!("1E001000 000000010001 {}", "00".repeat(26));
+        let expected = [
+            "0A000300 0104 53373030",
+            &general,
+            "28000200 01020300",
+            "29000800 00180004 26000101 001C0004 22000102",
+            "32000C00 031B020300000000 6460000000200000 4160000000100000",
+            "FFFF",
+        ];
+        assert_eq!(bytes, hex(&expected.concat()));
     }
 
     #[test]
@@ -325,11 +300,11 @@ mod tests {
         // The check is that of the old alias.
         eeprom.command(T, 0x0300, 0, 0);
         assert_eq!((eeprom.status(), eeprom.alias()), (bit::CHECKSUM, 0));
-        assert_eq!(eeprom.take_words()[word::ALIAS], 9);
+        assert_eq!(eeprom.words[word::ALIAS], 9);
     }
 
     #[test]
-    fn what_is_not_there_is_said() {
+    fn access_beyond_the_end_is_an_error() {
         let mut blank = Eeprom::new(Vec::new(), SiiSettings { busy_ns: 0, ..SiiSettings::default() });
         assert_eq!((blank.status(), blank.alias()), (0x0800, 0));
         assert_eq!(read(&mut blank, u32::MAX), [0xFF, 0xFF, 0xFF, 0xFF, 0, 0, 0, 0]);

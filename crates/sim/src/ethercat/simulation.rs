@@ -24,7 +24,7 @@ use fieldbeat_ethercat::{
 /// The Ethertype of a frame, and the index of its first datagram.
 const TYPE: std::ops::Range<usize> = 12..14;
 const INDEX: usize = 17;
-/// Its data, after its header.
+/// The offset of the data of the first datagram.
 const DATA: usize = 26;
 /// The delay until the firmware reads the mailbox and AL control: one interrupt of a drive (EtherCAT manual).
 const REACTION_NS: u64 = 250 * US;
@@ -138,7 +138,7 @@ impl Coupler {
         }
     }
 
-    /// What does not fit the process data of `device`.
+    /// Terminal counts that do not fit the process data of `device`.
     fn faults(self, device: &Device) -> impl Iterator<Item = (Option<String>, PlanFault)> {
         let sides = [
             ("simulate.outputs", self.outputs, device.slave.output_bytes()),
@@ -284,56 +284,62 @@ impl SimSegment for EthercatSim {
     }
 }
 
-/// The controller of the slave of a plan, with this content of its SII, and with a processor unless it is `plain` or
-/// its settings say otherwise.
-fn hardware(segment: &SegmentSettings, slave: &SlavePlan, contents: &Contents, plain: bool) -> Settings {
+/// A slave of a plan with this content of its SII, with device emulation if it is `plain` and not set otherwise, and as
+/// another master has left it.
+fn slave(
+    segment: &SegmentSettings,
+    own: SlaveSettings,
+    slave: &SlavePlan,
+    mut contents: Contents,
+    plain: bool,
+    application: Box<dyn Application>,
+) -> Esc {
     let place = usize::from(slave.place);
-    let own = segment.slaves.get(&slave.place).cloned().unwrap_or_default();
+    contents.alias = own.alias.or(slave.identity.alias).unwrap_or_default();
     let clock = own.clock.unwrap_or(match (slave.sync, segment.short_clocks) {
         (false, _) => ClockKind::None,
         (true, true) => ClockKind::Short,
         (true, false) => ClockKind::Long,
     });
-    let features = match clock {
-        ClockKind::None => 0x0180,
-        ClockKind::Short => 0x0184,
-        ClockKind::Long => 0x018C,
-    };
-    let drift_ppm = segment.drift_ppm.get(place).or(segment.drift_ppm.last()).copied().unwrap_or(0.0);
     let usual = Settings::default();
-    let fmmus = own.fmmus.or(segment.fmmus.get(place).or(segment.fmmus.last()).copied());
-    let emulated = own.emulated.unwrap_or(own.model.map_or(plain, Model::is_emulated));
-    Settings {
-        features,
-        receive_times: own.clock != Some(ClockKind::None),
-        fmmus: fmmus.unwrap_or(usual.fmmus),
-        ports: own.model.map_or(usual.ports, Model::ports),
-        device_id: segment.device_ids.then_some(slave.place),
-        identification: own.identification.or(slave.identity.identification),
-        sii: own.sii.content.of(contents.image()),
-        sii_access: own.sii,
-        clock_ns: (place as u64 + 1) * CLOCKS_APART_NS,
-        drift_ppm,
-        settling: segment.settling,
-        emulated,
-        mailbox: own.mailbox,
-        managers: if own.exact_managers { contents.managers.clone() } else { Vec::new() },
-        reaction_ns: REACTION_NS,
-        delay_ns: segment.delay_ns,
-        ..usual
-    }
-}
-
-/// A slave as its settings say that another master has left it.
-fn left(mut esc: Esc, segment: &SegmentSettings, place: u16) -> Esc {
-    if let Some(left) = segment.slaves.get(&place).and_then(|own| own.left.as_ref()) {
+    let mut esc = Esc::new(
+        Settings {
+            features: match clock {
+                ClockKind::None => 0x0180,
+                ClockKind::Short => 0x0184,
+                ClockKind::Long => 0x018C,
+            },
+            receive_times: own.clock != Some(ClockKind::None),
+            fmmus: own.fmmus.unwrap_or(usual.fmmus),
+            ports: own.model.map_or(usual.ports, Model::ports),
+            device_id: segment.device_ids.then_some(slave.place),
+            identification: own.identification.or(slave.identity.identification),
+            sii: own.sii.content.of(contents.image()),
+            sii_access: own.sii,
+            clock_ns: (place as u64 + 1) * CLOCKS_APART_NS,
+            drift_ppm: segment.drift_ppm.get(place).or(segment.drift_ppm.last()).copied().unwrap_or(0.0),
+            settling: segment.settling,
+            emulated: own.emulated.unwrap_or(own.model.map_or(plain, Model::is_emulated)),
+            mailbox: own.mailbox,
+            managers: if own.exact_managers { contents.managers } else { Vec::new() },
+            reaction_ns: REACTION_NS,
+            delay_ns: segment.delay_ns,
+        },
+        application,
+    );
+    if let Some(left) = &own.left {
         esc.leave(left);
     }
     esc
 }
 
+/// The settings of the slave at a position.
+fn own(segment: &SegmentSettings, place: u16) -> SlaveSettings {
+    segment.slaves.get(&place).cloned().unwrap_or_default()
+}
+
 fn drive(plan: &KollmorgenDrive, settings: &DriveSettings, segment: &SegmentSettings, logical: u32) -> Esc {
-    let settings = drive_settings(plan, settings.clone());
+    let (settings, mut own) = (drive_settings(plan, settings.clone()), own(segment, plan.slave.place));
     let (name, outputs) = match settings.family {
         // Whether its SII arms the watchdog is assumed; that of an AKD was captured.
         Family::S700 => ("S700", WATCHED),
@@ -343,30 +349,32 @@ fn drive(plan: &KollmorgenDrive, settings: &DriveSettings, segment: &SegmentSett
         name,
         identity: settings.identity,
         serial: settings.serial,
-        alias: alias(&plan.slave, segment),
+        alias: 0,
         mailboxes: plan.slave.mailbox.map(mailboxes),
         fmmus: FMMUS.to_vec(),
-        managers: managers(&plan.slave, segment.slaves.get(&plan.slave.place), outputs),
+        managers: managers(&plan.slave, own.output_control.unwrap_or(outputs)),
         inputs: vec![(pdo(&plan.inputs), 3)],
         outputs: vec![(pdo(&plan.outputs), 2)],
     };
-    let is_running = settings.running_rpm.is_some();
-    let hardware = hardware(segment, &plan.slave, &contents, false);
+    let unwatched =
+        |manager: &SyncManager| SyncManager { control: manager.control & !SyncManager::WATCHDOG, ..*manager };
+    let Area { start, length } = plan.slave.outputs.first().copied().unwrap_or_default();
+    let mut running = Left {
+        al: (AlState::Op as u16, 0),
+        managers: contents.managers.iter().map(|manager| unwatched(manager).to_bytes()).collect(),
+        fmmus: vec![Fmmu::bytes(logical, length, start, Fmmu::WRITE).to_bytes()],
+        unwatched: true,
+        ..Left::default()
+    };
+    let (is_running, left) = (settings.running_rpm.is_some(), own.left.take());
     let drive = Drive::new(settings);
-    let cycle_ns = drive.cycle_ns();
-    let mut esc = Esc::new(hardware, Box::new(drive));
-    if is_running && let Some(cycle_ns) = cycle_ns {
-        let Area { start, length } = plan.slave.outputs.first().copied().unwrap_or_default();
-        esc.leave(&Left {
-            al: (AlState::Op as u16, 0),
-            managers: contents.managers.iter().map(|manager| unwatched(*manager).to_bytes()).collect(),
-            fmmus: vec![Fmmu::bytes(logical, length, start, Fmmu::WRITE).to_bytes()],
-            unwatched: true,
-            sync0_ns: u32::try_from(cycle_ns).ok(),
-            ..Left::default()
-        });
+    running.sync0_ns = drive.cycle_ns.and_then(|cycle_ns| u32::try_from(cycle_ns).ok());
+    let mut esc = slave(segment, own, &plan.slave, contents, false, Box::new(drive));
+    if is_running && running.sync0_ns.is_some() {
+        esc.leave(&running);
     }
-    left(esc, segment, plan.slave.place)
+    left.iter().for_each(|left| esc.leave(left));
+    esc
 }
 
 /// A drive that fits its plan: with the PDOs that are not mapped first, and, unless it was set otherwise, with the
@@ -392,42 +400,29 @@ fn drive_settings(plan: &KollmorgenDrive, mut settings: DriveSettings) -> DriveS
 }
 
 fn device(plan: &Device, coupler: Coupler, segment: &SegmentSettings) -> Esc {
-    let (slave, own) = (&plan.slave, segment.slaves.get(&plan.slave.place));
-    let (mut contents, application): (Contents, Box<dyn Application>) = match own.and_then(|own| own.model) {
+    let (own, has_mailbox) = (own(segment, plan.slave.place), plan.slave.mailbox.is_some());
+    let (mut contents, application): (Contents, Box<dyn Application>) = match own.model {
         Some(Model::El3102) => {
             let contents = Model::El3102.contents();
             (contents.clone(), Box::new(Analogue::new(contents)))
         }
         Some(model) => (model.contents(), Box::new(model.terminals())),
         None => {
-            let mut contents = coupler.contents(IO, expected(slave.identity, Model::Ek1100.identity()));
-            let is_digital = slave.outputs.first().is_some_and(|area| area.start < MEMORY);
-            contents.managers = managers(slave, own, if is_digital { DIGITAL } else { WATCHED });
-            contents.mailboxes = slave.mailbox.map(mailboxes);
-            if slave.mailbox.is_some() {
-                // Theirs are the first two.
-                contents
-                    .inputs
-                    .iter_mut()
-                    .chain(&mut contents.outputs)
-                    .for_each(|(_, manager)| *manager += 2);
-            }
+            let identity = expected(plan.slave.identity, Model::Ek1100.identity());
+            let mut contents = coupler.contents(IO, identity);
+            let is_digital = plan.slave.outputs.first().is_some_and(|area| area.start < MEMORY);
+            let usual = if is_digital { DIGITAL } else { WATCHED };
+            contents.managers = managers(&plan.slave, own.output_control.unwrap_or(usual));
+            contents.mailboxes = plan.slave.mailbox.map(mailboxes);
+            // Those of the mailboxes are the first two.
+            let first = if has_mailbox { 2 } else { 0 };
+            let pdos = contents.inputs.iter_mut().chain(&mut contents.outputs);
+            pdos.for_each(|(_, manager)| *manager += first);
             (contents, Box::new(coupler))
         }
     };
-    contents.serial = own.and_then(|own| own.serial).or(slave.identity.serial).unwrap_or(contents.serial);
-    contents.alias = alias(slave, segment);
-    left(
-        Esc::new(hardware(segment, slave, &contents, slave.mailbox.is_none()), application),
-        segment,
-        slave.place,
-    )
-}
-
-/// The alias of the slave of a plan.
-fn alias(slave: &SlavePlan, segment: &SegmentSettings) -> u16 {
-    let own = segment.slaves.get(&slave.place).and_then(|own| own.alias);
-    own.or(slave.identity.alias).unwrap_or_default()
+    contents.serial = own.serial.or(plan.slave.identity.serial).unwrap_or(contents.serial);
+    slave(segment, own, &plan.slave, contents, !has_mailbox, application)
 }
 
 /// The expected numbers, and those of `other` where none is expected.
@@ -443,10 +438,9 @@ fn mailboxes([out, input]: [Area; 2]) -> Mailboxes {
     Mailboxes { out: (out.start, out.length), input: (input.start, input.length), protocols: COE }
 }
 
-/// Its SyncManagers: mailboxes first, then process data; that of its outputs with the control byte `usual`, if nothing
-/// else is set. Without mailboxes one for missing process data is left out.
-fn managers(slave: &SlavePlan, own: Option<&SlaveSettings>, usual: u8) -> Vec<SyncManager> {
-    let output_control = own.and_then(|own| own.output_control).unwrap_or(usual);
+/// The SyncManagers of a slave: mailboxes first, then process data, with this control byte of its outputs. Without
+/// mailboxes one for missing process data is left out.
+fn managers(slave: &SlavePlan, output_control: u8) -> Vec<SyncManager> {
     let manager = |area: Area, control| SyncManager::on(area.start, area.length, control);
     let mailboxes = slave.mailbox.into_iter().flat_map(|[out, input]| {
         [manager(out, SyncManager::MAILBOX_OUT), manager(input, SyncManager::MAILBOX_IN)]
@@ -466,11 +460,6 @@ fn pdo(layout: &Layout) -> Pdo {
     let entry = entries
         .map(|entry| (Object::new(entry.object.index, entry.object.sub), 8 * entry.kind.bytes() as u8));
     Pdo { index: layout.pdo, entries: entry.collect() }
-}
-
-/// The same SyncManager, without the watchdog.
-fn unwatched(manager: SyncManager) -> SyncManager {
-    SyncManager { control: manager.control & !SyncManager::WATCHDOG, ..manager }
 }
 
 /// Terminals for so many bytes: digital ones as far as there can be so many.

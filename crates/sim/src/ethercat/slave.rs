@@ -1,4 +1,4 @@
-//! What sets one slave of a simulated segment apart from the others.
+//! Settings of a single slave of a simulated segment.
 
 use super::codec::registers::{Fmmu, SyncManager};
 use super::models::Model;
@@ -12,27 +12,27 @@ const FIRST_STATION: u16 = 0x1001;
 pub struct SlaveSettings {
     /// The device that it is, whatever the plan expects there. Default: one that the plan describes.
     pub model: Option<Model>,
-    /// Its serial number, of one that is no drive. Default: the expected one, else 0.
+    /// The serial number of a device that is no drive. Default: the expected one, else 0.
     pub serial: Option<u32>,
-    /// Its alias. Default: the expected one, else none.
+    /// The station alias. Default: the expected one, else none.
     pub alias: Option<u16>,
-    /// Its identification, on request. Default: the expected one, else it does not identify itself.
+    /// The identification on request. Default: the expected one, else none.
     pub identification: Option<u16>,
-    /// It has no processor: its AL status is what AL control says, bit 4 included. Default: that of its
+    /// Device emulation: AL status is a copy of AL control, bit 4 included. Default: that of the
     /// model; a device without mailboxes has none.
     pub emulated: Option<bool>,
-    /// Its processor compares its SyncManagers with its SII byte by byte: with others it refuses PREOP with 0016h,
+    /// The firmware compares the SyncManagers with the SII byte by byte: with others it refuses PREOP with 0016h,
     /// SAFEOP with 001Dh or 001Eh.
     pub exact_managers: bool,
     /// The control byte of its outputs in its SII. Default: 64h, of an AKD 24h, of a digital terminal 44h.
     pub output_control: Option<u8>,
-    /// Its clock. Default: as the plan expects it and the segment has it.
+    /// The distributed clock. Default: as the plan expects it and the segment has it.
     pub clock: Option<ClockKind>,
-    /// The number of its FMMUs. Default: that of the segment.
+    /// The number of FMMUs. Default: 8. Small couplers have 2 or 3, and none to spare for their state.
     pub fmmus: Option<u8>,
-    /// Its SII.
+    /// The SII.
     pub sii: SiiSettings,
-    /// Its mailbox.
+    /// The mailbox.
     pub mailbox: MailboxSettings,
     /// The slave in front of it, and the port there. Default: port 1 of the slave before it.
     pub behind: Option<Behind>,
@@ -45,7 +45,7 @@ pub struct SlaveSettings {
 /// The clock of a slave.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ClockKind {
-    /// It has none, nor receive times.
+    /// No clock and no receive times.
     None,
     /// 32 bits: it wraps around every 4.3 s.
     Short,
@@ -58,7 +58,7 @@ pub enum ClockKind {
 pub struct SiiSettings {
     /// After power-on its processor has it: a master has to take it by force.
     pub owned_by_slave: bool,
-    /// Its processor reads it on the way to PREOP, and refuses PREOP with 0050h while a master has it.
+    /// The firmware reads it on the way to PREOP, and refuses PREOP with 0050h while a master has it.
     pub read_in_preop: bool,
     /// A read returns eight bytes, otherwise four.
     pub eight: bool,
@@ -72,7 +72,7 @@ pub struct SiiSettings {
     pub fails_every: u32,
     /// The firmware emulates it, and its status shows that, as that of an AKD does.
     pub emulated: bool,
-    /// What is in it.
+    /// The content.
     pub content: SiiContent,
 }
 
@@ -92,13 +92,13 @@ impl Default for SiiSettings {
     }
 }
 
-/// What is in an SII.
+/// The content of an SII.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum SiiContent {
-    /// What describes the slave.
+    /// The description of the slave.
     #[default]
     Sound,
-    /// The same, with a wrong checksum.
+    /// The description of the slave with a wrong checksum.
     WrongCheck,
     /// Identity and mailboxes, and noise in place of the categories.
     Garbage,
@@ -136,7 +136,7 @@ pub struct MailboxSettings {
     pub delay_every: u32,
     /// Every so many answers one is lost. Default 0: none.
     pub lose_every: u32,
-    /// It sends its last message again on request; otherwise it acknowledges the request and does nothing.
+    /// A repeat request is answered by the last message; otherwise it is only acknowledged.
     pub resends: bool,
 }
 
@@ -149,21 +149,19 @@ impl Default for MailboxSettings {
 /// How another master has left a slave.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Left {
-    /// Its station address.
+    /// The station address.
     pub station: u16,
-    /// It is called by its alias, too.
-    pub alias_on: bool,
-    /// Its AL status and the code after it.
+    /// AL status and AL status code.
     pub al: (u16, u16),
-    /// Its FMMUs from the first one on.
+    /// The FMMUs from the first one on.
     pub fmmus: Vec<[u8; Fmmu::SIZE]>,
-    /// Its SyncManagers.
+    /// The SyncManagers from the first one on.
     pub managers: Vec<[u8; SyncManager::SIZE]>,
     /// The watchdog of its outputs is switched off.
     pub unwatched: bool,
     /// SYNC0 goes on with this cycle, ns.
     pub sync0_ns: Option<u32>,
-    /// Its SII was given to its processor, which has taken it.
+    /// The SII belongs to the firmware.
     pub sii_given: bool,
     /// A command of its SII has failed, and nobody has acknowledged that.
     pub sii_failed: bool,

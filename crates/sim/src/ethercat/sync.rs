@@ -28,7 +28,7 @@ const DRIFT: i64 = 1_000;
 pub(super) struct Sync {
     needed: u32,
     /// `None`: there is no valid cycle time, or no interrupts are wanted.
-    cycle_ns: Option<u64>,
+    pub(super) cycle_ns: Option<u64>,
     /// The cycle is found by the interrupts themselves: when the last one came.
     measures: Option<Time>,
     /// When the next interrupt is due.
@@ -37,7 +37,7 @@ pub(super) struct Sync {
     outside: u32,
     /// The one before the expected one has not come yet.
     owed: bool,
-    synchronous: bool,
+    pub(super) synchronous: bool,
 }
 
 impl Sync {
@@ -51,26 +51,16 @@ impl Sync {
         *self = Sync { cycle_ns, ..Sync::new(self.needed) };
     }
 
-    /// The same with a cycle that nobody has set: as far apart as the first two interrupts are.
+    /// Interrupts come from now on; the first two give the cycle, which no object has set.
     pub(super) fn measure(&mut self) {
         *self = Sync { measures: Some(Time(0)), ..Sync::new(self.needed) };
-    }
-
-    /// The drive follows the cycle.
-    pub(super) fn is_synchronous(&self) -> bool {
-        self.synchronous
-    }
-
-    /// The cycle that it follows, or tries to.
-    pub(super) fn cycle_ns(&self) -> Option<u64> {
-        self.cycle_ns
     }
 
     fn window_ns(cycle_ns: u64) -> u64 {
         if cycle_ns >= MS { WINDOW_NS.0 } else { WINDOW_NS.1 }
     }
 
-    /// It is `now`: interrupts due by then are missing. True if the drive is no longer synchronous.
+    /// Counts interrupts that were due by `now` as missing. True if the drive is no longer synchronous.
     #[must_use]
     pub(super) fn pass(&mut self, now: Time) -> bool {
         let Some(cycle_ns) = self.cycle_ns else { return false };
@@ -151,7 +141,7 @@ mod tests {
         let mut sync = Sync::new(NEEDED);
         sync.start(Some(cycle_ns));
         let lost = instants.into_iter().filter(|at| sync.interrupt(Time(*at))).count();
-        (sync.is_synchronous(), lost as u32)
+        (sync.synchronous, lost as u32)
     }
 
     /// So many instants of a regular cycle, each moved by `jitter(index)` ns.
@@ -171,7 +161,7 @@ mod tests {
         assert_eq!(run(MS, cycle(MS, 5_000, drift(-900))), (true, 0));
         assert!(run(MS, cycle(MS, 5_000, drift(2_000))).1 > 0);
         let mut sync = Sync::new(NEEDED);
-        assert!(!sync.interrupt(Time(0)) && !sync.is_synchronous(), "without a cycle time there is none");
+        assert!(!sync.interrupt(Time(0)) && !sync.synchronous, "without a cycle time there is none");
     }
 
     #[test]
@@ -209,7 +199,7 @@ mod tests {
         assert!(!sync.pass(last + MS + 320 * US), "the window of the first is still open");
         assert!(!sync.pass(last + 2 * MS + 320 * US));
         assert!(sync.pass(last + 2 * MS + 321 * US));
-        assert!(!sync.is_synchronous());
+        assert!(!sync.synchronous);
         assert!(!sync.pass(last + 10 * MS), "it is lost once");
     }
 }

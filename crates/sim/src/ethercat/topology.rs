@@ -9,9 +9,9 @@ const ORDER: [usize; 3] = [3, 1, 2];
 /// The slave in front of another one, and the port there.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Behind {
-    /// Its position.
+    /// The position.
     pub place: u16,
-    /// Its port, 1 ... 3.
+    /// The port, 1 ... 3.
     pub port: u8,
 }
 
@@ -27,11 +27,11 @@ pub(super) struct Visit {
 /// The cables of so many slaves.
 #[derive(Debug)]
 pub(super) struct Topology {
-    /// Of each slave: the one in front of it and its port there; `None`: the master.
+    /// The slave in front of each slave, and the port there; `None`: the master.
     front: Vec<Option<(usize, usize)>>,
-    /// Of each slave: the delay of the cable in front of it, each way.
+    /// The delay of the cable in front of each slave, each way.
     delays: Vec<u64>,
-    cut: Option<usize>,
+    pub(super) cut: Option<usize>,
 }
 
 impl Topology {
@@ -58,11 +58,6 @@ impl Topology {
             last = self.front[at].map(|(front, port)| (front, turn(port)));
         }
         false
-    }
-
-    /// Cuts the cable in front of slave `n`, or repairs it.
-    pub(super) fn cut(&mut self, n: Option<usize>) {
-        self.cut = n;
     }
 
     /// Whether a frame comes to slave `n`.

@@ -11,7 +11,10 @@ use fieldbeat_keys::bus;
 use fieldbeat_keys::keys;
 use fieldbeat_keys::table::Table;
 use fieldbeat_keys::value::SOMETHING;
-use fieldbeat_profibus::{DATA_MAX, LenzeDrive, ProfibusPlan};
+use fieldbeat_profibus::{LenzeDrive, ProfibusPlan};
+
+/// The most bytes of data in a telegram.
+const DATA_MAX: usize = 244;
 
 keys! {
     PORT "port" = "none": "serial port at the other end of the cable, where `device` is a real one";

@@ -92,7 +92,8 @@ fn all_areas_of_a_direction_move_in_the_order_of_the_list_and_those_side_by_side
     let inputs = || vec![area(0x1000, 2)];
     for (second, fmmus) in [(0x0F02, 3), (0x0F02, 4), (0x0F02, 5), (0x0F01, 2)] {
         let mut segment = EthercatSegment::from(with(vec![area(0x0F00, 1), area(second, 1)], inputs()));
-        segment.settings.fmmus = vec![8, fmmus];
+        let last = segment.plan.devices.last().unwrap().slave.place;
+        (1..=last).for_each(|place| segment.settings.slaves.entry(place).or_default().fmmus = Some(fmmus));
         moves(segment);
     }
     // A device ID in the AL status is no error.

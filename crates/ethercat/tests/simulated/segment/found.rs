@@ -97,7 +97,7 @@ fn the_times_of_drives_found_running_are_kept_and_the_others_wait_where_they_are
             "of no use, so that its time is not read",
             &[1],
             None,
-            |_, whole| whole.settings.fmmus = vec![8, 1],
+            |_, whole| whole.settings.slaves.entry(1).or_default().fmmus = Some(1),
             &[Note::OtherTime(1), Note::Fmmus(1)],
             false,
         ),

@@ -1,4 +1,4 @@
-//! What a master may read and write by registers and memory.
+//! Access rights of a master to registers and memory.
 
 use super::misuse::is_locked;
 use super::*;
@@ -26,7 +26,7 @@ impl Chip {
             0x0010..0x0012 | 0x0100..0x0104 | 0x0200..0x0202 | 0x0300..0x0314 => true,
             0x0120..0x0122 => self.requested.is_none(),
             0x0400..0x0402 | 0x0410..0x0412 | 0x0420..0x0422 | 0x0442..0x0444 | 0x0500 => true,
-            0x0502..0x0510 => !self.eeprom.is_busy() && self.bytes(address::SII_OWNER) == [0; 2],
+            0x0502..0x0510 => self.eeprom.job.is_none() && self.bytes(address::SII_OWNER) == [0; 2],
             0x0600..0x0800 => true,
             0x0800..0x0900 => !matches!(at % SyncManager::SIZE, 5 | 7) && !is_locked(at, &self.memory),
             0x0900..0x0904 | 0x0910..0x0918 | 0x0920..0x092C | 0x0930..0x0936 => true,
@@ -47,7 +47,7 @@ impl Chip {
             0x0900..0x0910 | 0x0918..0x0920 => self.receive_times,
             0x0910..0x0A00 => self.features & feature::CLOCK != 0,
             USER..PROCESS => true,
-            _ => at >= PROCESS && at < self.memory_end().min(SPACE),
+            _ => (PROCESS..END).contains(&at),
         }
     }
 
@@ -90,7 +90,7 @@ impl Chip {
         if meets(&range, address::AL_STATUS, 2) {
             self.events &= !STATE_CHANGED;
         }
-        if meets(&range, address::SII_CONTROL, 2) && self.eeprom.is_busy() {
+        if meets(&range, address::SII_CONTROL, 2) && self.eeprom.job.is_some() {
             self.met.sii_busy += 1;
         }
         true

@@ -3,7 +3,7 @@
 use super::access::{Span, meets};
 use super::*;
 
-/// What an emulated AL status takes over from AL control: state and error.
+/// The bits that AL status copies from AL control in device emulation: state and error.
 const SHOWN: u8 = 0x1F;
 
 impl Chip {
@@ -26,7 +26,7 @@ impl Chip {
             if !manager.has_written(range, &self.memory) {
                 continue;
             }
-            let setting = manager.setting();
+            let setting = manager.setting;
             if setting.is_mailbox() {
                 self.filled = Some(now);
                 continue;
@@ -113,7 +113,7 @@ impl Chip {
             self.clock.set_offset(offset);
         }
         if hit(address::DC_DELAY, 4) {
-            self.clock.set_delay(u32::from_le_bytes(self.bytes(address::DC_DELAY)));
+            self.clock.delay = u32::from_le_bytes(self.bytes(address::DC_DELAY));
         }
         if hit(address::DC_FILTER, 2) {
             self.clock.average(self.memory[usize::from(address::DC_FILTER)]);
@@ -130,7 +130,7 @@ impl Chip {
                     let (start, cycle) = (self.quad(address::DC_START), self.bytes(address::DC_CYCLE));
                     self.clock.start(start, u32::from_le_bytes(cycle));
                 }
-                _ => self.clock.stop(),
+                _ => self.clock.sync = None,
             }
         }
     }

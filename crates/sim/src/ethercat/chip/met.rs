@@ -1,4 +1,4 @@
-//! What a master met of that which sets a slave apart.
+//! How often a master met a special property of a slave.
 
 /// Counts since power-on: a test that relies on such a slave shows by them that it came to that.
 #[derive(Clone, Copy, Debug, Default)]

@@ -1,4 +1,4 @@
-//! What a master does that real hardware tolerates badly, or not at all.
+//! Accesses of a master that real hardware tolerates badly, or not at all.
 
 use super::*;
 
@@ -16,16 +16,6 @@ pub struct Misuse {
 }
 
 impl Chip {
-    /// What was counted since power-on.
-    pub(in super::super) fn misuse(&self) -> Misuse {
-        self.misuse
-    }
-
-    /// What was before counts no longer: another master did it.
-    pub(in super::super) fn forget_misuse(&mut self) {
-        self.misuse = Misuse::default();
-    }
-
     /// Counts what is wrong with a write.
     pub(super) fn count_misuse(&mut self, at: u16, data: &[u8]) {
         let range = usize::from(at)..usize::from(at) + data.len();

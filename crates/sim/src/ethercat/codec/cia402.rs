@@ -4,22 +4,17 @@ use fieldbeat_core::axis::State;
 
 /// Bits of the control word.
 pub mod control {
-    /// Starts a motion, or homing; in the interpolated mode: setpoints count.
-    pub const START: u16 = 1 << 4;
-    /// The target of a profile position is relative.
-    pub const RELATIVE: u16 = 1 << 6;
-    pub const FAULT_RESET: u16 = 1 << 7;
-    pub const HALT: u16 = 1 << 8;
+    constants! { u16:
+        START = 1 << 4; RELATIVE = 1 << 6; FAULT_RESET = 1 << 7; HALT = 1 << 8;
+    }
 }
 
 /// Bits of the status word that do not belong to the state.
 pub mod status {
-    pub const VOLTAGE: u16 = 1 << 4;
-    pub const WARNING: u16 = 1 << 7;
-    pub const REMOTE: u16 = 1 << 9;
-    pub const TARGET_REACHED: u16 = 1 << 10;
-    pub const MODE_12: u16 = 1 << 12;
-    pub const MODE_13: u16 = 1 << 13;
+    constants! { u16:
+        VOLTAGE = 1 << 4; WARNING = 1 << 7; REMOTE = 1 << 9; TARGET_REACHED = 1 << 10; MODE_12 = 1 << 12;
+        MODE_13 = 1 << 13;
+    }
 }
 
 /// The control word that enables operation.

@@ -30,30 +30,20 @@ const SEGMENT: usize = 7;
 
 /// Why a message cannot be used at all: the code of a mailbox error.
 pub mod refusal {
-    pub const PROTOCOL: u16 = 2;
-    pub const SERVICE: u16 = 4;
-    pub const SHORT: u16 = 6;
-    pub const SIZE: u16 = 8;
+    constants! { u16:
+        PROTOCOL = 2; SERVICE = 4; SHORT = 6; SIZE = 8;
+    }
 }
 
 /// Abort codes.
 pub mod abort {
-    pub const TOGGLE: u32 = 0x0503_0000;
-    pub const COMMAND: u32 = 0x0504_0001;
-    pub const READ_ONLY: u32 = 0x0601_0002;
-    pub const NOT_ZERO: u32 = 0x0601_0003;
-    pub const NOT_COMPLETE: u32 = 0x0601_0004;
-    pub const MAPPED: u32 = 0x0601_0006;
-    pub const NO_OBJECT: u32 = 0x0602_0000;
-    pub const NOT_MAPPABLE: u32 = 0x0604_0041;
-    pub const INCOMPATIBLE: u32 = 0x0604_0043;
-    pub const LENGTH: u32 = 0x0607_0010;
-    pub const NO_SUB: u32 = 0x0609_0011;
-    pub const RANGE: u32 = 0x0609_0030;
-    pub const HIGH: u32 = 0x0609_0031;
-    pub const LOW: u32 = 0x0609_0032;
-    pub const STATE: u32 = 0x0800_0022;
-    pub const NO_DICTIONARY: u32 = 0x0800_0023;
+    constants! { u32:
+        TOGGLE = 0x0503_0000; COMMAND = 0x0504_0001; READ_ONLY = 0x0601_0002; NOT_ZERO = 0x0601_0003;
+        NOT_COMPLETE = 0x0601_0004; MAPPED = 0x0601_0006; NO_OBJECT = 0x0602_0000;
+        NOT_MAPPABLE = 0x0604_0041; INCOMPATIBLE = 0x0604_0043; LENGTH = 0x0607_0010; NO_SUB = 0x0609_0011;
+        RANGE = 0x0609_0030; HIGH = 0x0609_0031; LOW = 0x0609_0032; STATE = 0x0800_0022;
+        NO_DICTIONARY = 0x0800_0023;
+    }
 }
 
 /// The counter of a message, 1 ... 7; 0: it does not count. The message must have its header.
@@ -68,11 +58,11 @@ pub struct Request<'a> {
     pub object: Object,
     /// All subindices at once.
     pub complete: bool,
-    /// What is requested.
+    /// The service, with its data.
     pub kind: Kind<'a>,
 }
 
-/// What a message of the master requests.
+/// The service of a request, with its data.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Kind<'a> {
     /// To read.
@@ -200,7 +190,7 @@ pub fn response(counter: u8, body: &[u8]) -> Vec<u8> {
     coe(if body.first() == Some(&0x80) { REQUEST } else { RESPONSE }, counter, body)
 }
 
-/// The same as the drive's manual prints it: the length is 14, the service that of a request, and nothing counts.
+/// An answer as the drive's manual prints it: length 14, the service of a request, no counter.
 pub fn response_of_manual(body: &[u8]) -> Vec<u8> {
     let mut message = coe(REQUEST, 0, body);
     message[0] += 4;

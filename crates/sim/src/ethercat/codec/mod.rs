@@ -16,6 +16,13 @@
 
 #![expect(missing_docs, reason = "names are those of the documents")]
 
+/// Public constants of one type.
+macro_rules! constants {
+    ($kind:ty: $($name:ident = $value:expr;)*) => {
+        $(pub const $name: $kind = $value;)*
+    };
+}
+
 pub mod cia402;
 pub mod frame;
 pub mod mailbox;
@@ -28,7 +35,7 @@ fn u16_at(bytes: &[u8], at: usize) -> u16 {
     u16::from_le_bytes([bytes[at], bytes[at + 1]])
 }
 
-/// The same of four bytes.
+/// The number at an offset, of four bytes. The bytes must be there.
 fn u32_at(bytes: &[u8], at: usize) -> u32 {
     u32::from(u16_at(bytes, at)) | u32::from(u16_at(bytes, at + 2)) << 16
 }

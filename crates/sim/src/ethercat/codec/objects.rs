@@ -5,9 +5,9 @@ use fieldbeat_ethercat::Family;
 /// An object.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Object {
-    /// Its index.
+    /// The index.
     pub index: u16,
-    /// Its subindex.
+    /// The subindex.
     pub sub: u8,
 }
 
@@ -17,7 +17,7 @@ impl Object {
         Object { index, sub }
     }
 
-    /// The same of one number, as in the entry of a PDO: the subindex is the low byte.
+    /// The object with these numbers in one, as in the entry of a PDO: the subindex is the low byte.
     pub const fn of(number: u32) -> Object {
         Object { index: (number >> 8) as u16, sub: number as u8 }
     }
@@ -28,30 +28,34 @@ pub const OUTPUT_PDO: u16 = 0x1C12;
 /// See [`OUTPUT_PDO`].
 pub const INPUT_PDO: u16 = 0x1C13;
 
-macro_rules! numbers {
-    ($($name:ident = $index:literal, $sub:literal;)*) => {
-        /// Objects that a drive evaluates or shows.
-        pub mod number {
-            use super::Object;
+/// Objects that a drive evaluates or shows.
+pub mod number {
+    use super::Object;
 
-            $(pub const $name: Object = Object::new($index, $sub);)*
-        }
-    };
-}
-
-numbers! {
-    ERROR_REGISTER = 0x1001, 0; MANUFACTURER_STATUS = 0x1002, 0; ERROR_COUNT = 0x1003, 0;
-    LAST_ERROR = 0x1003, 1; DEVICE_NAME = 0x1008, 0; OUTPUT_CYCLE = 0x1C32, 2; INPUT_CYCLE = 0x1C33, 2;
-    POSITION_2 = 0x2050, 0; INCREMENTAL_SPEED = 0x2070, 2; CYCLE_TIME = 0x35D5, 1; ERROR_CODE = 0x603F, 0;
-    CONTROL_WORD = 0x6040, 0; STATUS_WORD = 0x6041, 0; MODE = 0x6060, 0; MODE_DISPLAY = 0x6061, 0;
-    INCREMENTS = 0x6063, 0; POSITION = 0x6064, 0; FOLLOWING_WINDOW = 0x6065, 0; VELOCITY_SETPOINT = 0x606B, 0;
-    VELOCITY = 0x606C, 0; TARGET_TORQUE = 0x6071, 0; MAXIMUM_TORQUE = 0x6072, 0; CURRENT_SETPOINT = 0x6074, 0;
-    TORQUE = 0x6077, 0; TARGET_POSITION = 0x607A, 0; HOME_OFFSET = 0x607C, 0; MAXIMUM_VELOCITY = 0x607F, 0;
-    MAXIMUM_SPEED = 0x6080, 0; PROFILE_VELOCITY = 0x6081, 0; ACCELERATION = 0x6083, 0;
-    DECELERATION = 0x6084, 0; FEED = 0x6092, 1; FEED_TURNS = 0x6092, 2; FACTOR = 0x6093, 1;
-    DIVISOR = 0x6093, 2; HOMING_METHOD = 0x6098, 0; HOMING_SPEED = 0x6099, 1; HOMING_ACCELERATION = 0x609A, 0;
-    INTERPOLATION = 0x60C1, 1; CYCLE_UNITS = 0x60C2, 1; CYCLE_POWER = 0x60C2, 2; POSITIVE_TORQUE = 0x60E0, 0;
-    NEGATIVE_TORQUE = 0x60E1, 0; FOLLOWING_ERROR = 0x60F4, 0; TARGET_VELOCITY = 0x60FF, 0;
+    constants! { Object:
+        ERROR_REGISTER = Object::of(0x100100); MANUFACTURER_STATUS = Object::of(0x100200);
+        ERROR_COUNT = Object::of(0x100300); LAST_ERROR = Object::of(0x100301);
+        DEVICE_NAME = Object::of(0x100800); OUTPUT_CYCLE = Object::of(0x1C3202);
+        INPUT_CYCLE = Object::of(0x1C3302); POSITION_2 = Object::of(0x205000);
+        INCREMENTAL_SPEED = Object::of(0x207002); CYCLE_TIME = Object::of(0x35D501);
+        ERROR_CODE = Object::of(0x603F00); CONTROL_WORD = Object::of(0x604000);
+        STATUS_WORD = Object::of(0x604100); MODE = Object::of(0x606000);
+        MODE_DISPLAY = Object::of(0x606100); INCREMENTS = Object::of(0x606300);
+        POSITION = Object::of(0x606400); FOLLOWING_WINDOW = Object::of(0x606500);
+        VELOCITY_SETPOINT = Object::of(0x606B00); VELOCITY = Object::of(0x606C00);
+        TARGET_TORQUE = Object::of(0x607100); MAXIMUM_TORQUE = Object::of(0x607200);
+        CURRENT_SETPOINT = Object::of(0x607400); TORQUE = Object::of(0x607700);
+        TARGET_POSITION = Object::of(0x607A00); HOME_OFFSET = Object::of(0x607C00);
+        MAXIMUM_VELOCITY = Object::of(0x607F00); MAXIMUM_SPEED = Object::of(0x608000);
+        PROFILE_VELOCITY = Object::of(0x608100); ACCELERATION = Object::of(0x608300);
+        DECELERATION = Object::of(0x608400); FEED = Object::of(0x609201); FEED_TURNS = Object::of(0x609202);
+        FACTOR = Object::of(0x609301); DIVISOR = Object::of(0x609302); HOMING_METHOD = Object::of(0x609800);
+        HOMING_SPEED = Object::of(0x609901); HOMING_ACCELERATION = Object::of(0x609A00);
+        INTERPOLATION = Object::of(0x60C101); CYCLE_UNITS = Object::of(0x60C201);
+        CYCLE_POWER = Object::of(0x60C202); POSITIVE_TORQUE = Object::of(0x60E000);
+        NEGATIVE_TORQUE = Object::of(0x60E100); FOLLOWING_ERROR = Object::of(0x60F400);
+        TARGET_VELOCITY = Object::of(0x60FF00);
+    }
 }
 
 /// The type of an object.
@@ -68,7 +72,7 @@ pub enum Type {
 }
 
 impl Type {
-    /// Its size.
+    /// The size in bytes.
     pub fn bytes(self) -> usize {
         match self {
             Type::I8 | Type::U8 => 1,
@@ -79,13 +83,10 @@ impl Type {
 
     /// The number whose low bits these are.
     pub fn number(self, raw: i64) -> i64 {
+        let above = 64 - 8 * self.bytes();
         match self {
-            Type::I8 => (raw as i8).into(),
-            Type::U8 => (raw as u8).into(),
-            Type::I16 => (raw as i16).into(),
-            Type::U16 => (raw as u16).into(),
-            Type::I32 => (raw as i32).into(),
-            Type::U32 | Type::Text => (raw as u32).into(),
+            Type::I8 | Type::I16 | Type::I32 => raw << above >> above,
+            _ => (raw.cast_unsigned() << above >> above).cast_signed(),
         }
     }
 
@@ -196,7 +197,7 @@ fn range(object: u32, kind: Type) -> (i64, i64) {
 /// A PDO: its index, and the objects in it with their bits.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Pdo {
-    /// Its own object.
+    /// The object of the PDO itself.
     pub index: u16,
     /// Objects and their bits, one behind the other.
     pub entries: Vec<(Object, u8)>,
@@ -208,12 +209,23 @@ impl Pdo {
         self.index < 0x1800
     }
 
-    /// Its bytes.
+    /// The value of a subindex of the PDO's own object: the number of entries, or one of them.
+    pub fn value(&self, sub: u8) -> Option<Vec<u8>> {
+        let Some(place) = usize::from(sub).checked_sub(1) else {
+            return Some(vec![self.entries.len() as u8]);
+        };
+        self.entries.get(place).map(|(Object { index, sub }, bits)| {
+            let [low, high] = index.to_le_bytes();
+            vec![*bits, *sub, low, high]
+        })
+    }
+
+    /// The size in bytes.
     pub fn size(&self) -> usize {
         self.entries.iter().map(|(_, bits)| usize::from(*bits) / 8).sum()
     }
 
-    /// Its objects, and where their bytes are.
+    /// The objects, and where their bytes are.
     pub fn places(&self) -> impl Iterator<Item = (Object, std::ops::Range<usize>)> {
         self.entries.iter().scan(0, |next, (object, bits)| {
             let at = *next;
@@ -267,18 +279,20 @@ pub fn fixed_pdos(family: Family) -> Vec<Pdo> {
         .collect()
 }
 
+/// Bits of the manufacturer's status, 1002h (CAN manual).
+pub mod manufacturer {
+    constants! { u32:
+        MOTION = 1 << 0; REFERENCE = 1 << 1; IN_POSITION = 1 << 3; POWER = 1 << 14;
+        ERROR = 1 << 15; EMERGENCY_STOP = 1 << 19;
+    }
+}
+
 /// Modes of operation, 6060h.
 pub mod mode {
-    pub const PROFILE_POSITION: i8 = 1;
-    pub const PROFILE_VELOCITY: i8 = 3;
-    pub const TORQUE: i8 = 4;
-    pub const HOMING: i8 = 6;
-    pub const INTERPOLATED: i8 = 7;
-    pub const CYCLIC_POSITION: i8 = 8;
-    /// 80h and an OPMODE.
-    pub const DIGITAL_VELOCITY: i8 = -128;
-    pub const DIGITAL_CURRENT: i8 = -126;
-    pub const TRAJECTORY: i8 = -123;
+    constants! { i8:
+        PROFILE_POSITION = 1; PROFILE_VELOCITY = 3; TORQUE = 4; HOMING = 6; INTERPOLATED = 7;
+        CYCLIC_POSITION = 8; DIGITAL_VELOCITY = -128; DIGITAL_CURRENT = -126; TRAJECTORY = -123;
+    }
 }
 
 /// Whether a drive family has a mode.
@@ -299,7 +313,7 @@ pub mod fault {
 
 /// The category of a fault, the first byte of the vendor's in its emergency: a cold start clears it.
 pub const COLD_START: u8 = 1;
-/// The same: bit 7 of the control word clears it.
+/// The other category: bit 7 of the control word clears the fault.
 pub const RESET: u8 = 2;
 
 /// The category of the fault with a code (CAN manual).

@@ -4,50 +4,17 @@ use super::{u16_at, u32_at};
 
 /// Addresses.
 pub mod address {
-    pub const TYPE: u16 = 0x0000;
-    /// FMMUs, SyncManagers, KiB of memory, port types.
-    pub const RESOURCES: u16 = 0x0004;
-    pub const FEATURES: u16 = 0x0008;
-    pub const STATION: u16 = 0x0010;
-    pub const ALIAS: u16 = 0x0012;
-    /// The size of the receive FIFO.
-    pub const FIFO_SIZE: u16 = 0x0102;
-    pub const ALIAS_ENABLE: u16 = 0x0103;
-    pub const LINKS: u16 = 0x0110;
-    pub const AL_CONTROL: u16 = 0x0120;
-    pub const AL_STATUS: u16 = 0x0130;
-    pub const AL_CODE: u16 = 0x0134;
-    /// What is behind the controller; the next byte's bit 0 is device emulation.
-    pub const PDI_CONTROL: u16 = 0x0140;
-    pub const EVENT_MASK: u16 = 0x0200;
-    /// Events for the master.
-    pub const EVENTS: u16 = 0x0210;
-    /// Events for the firmware.
-    pub const REQUESTS: u16 = 0x0220;
-    pub const ERRORS: u16 = 0x0300;
-    pub const WATCHDOG_DIVIDER: u16 = 0x0400;
-    pub const PDI_WATCHDOG: u16 = 0x0410;
-    pub const WATCHDOG: u16 = 0x0420;
-    pub const WATCHDOG_STATUS: u16 = 0x0440;
-    pub const WATCHDOG_COUNTER: u16 = 0x0442;
-    pub const SII_OWNER: u16 = 0x0500;
-    pub const SII_CONTROL: u16 = 0x0502;
-    pub const SII_ADDRESS: u16 = 0x0504;
-    pub const SII_DATA: u16 = 0x0508;
-    pub const FMMU: u16 = 0x0600;
-    pub const SYNC_MANAGER: u16 = 0x0800;
-    pub const DC_PORTS: u16 = 0x0900;
-    pub const DC_TIME: u16 = 0x0910;
-    pub const DC_RECEIVED: u16 = 0x0918;
-    pub const DC_OFFSET: u16 = 0x0920;
-    pub const DC_DELAY: u16 = 0x0928;
-    pub const DC_DIFFERENCE: u16 = 0x092C;
-    pub const DC_SPEED: u16 = 0x0930;
-    pub const DC_FILTER: u16 = 0x0934;
-    pub const DC_CONTROL: u16 = 0x0980;
-    pub const DC_ACTIVATION: u16 = 0x0981;
-    pub const DC_START: u16 = 0x0990;
-    pub const DC_CYCLE: u16 = 0x09A0;
+    constants! { u16:
+        TYPE = 0x0000; RESOURCES = 0x0004; FEATURES = 0x0008; STATION = 0x0010; ALIAS = 0x0012;
+        FIFO_SIZE = 0x0102; ALIAS_ENABLE = 0x0103; LINKS = 0x0110; AL_CONTROL = 0x0120; AL_STATUS = 0x0130;
+        AL_CODE = 0x0134; PDI_CONTROL = 0x0140; EVENT_MASK = 0x0200; EVENTS = 0x0210; REQUESTS = 0x0220;
+        ERRORS = 0x0300; WATCHDOG_DIVIDER = 0x0400; PDI_WATCHDOG = 0x0410; WATCHDOG = 0x0420;
+        WATCHDOG_STATUS = 0x0440; WATCHDOG_COUNTER = 0x0442; SII_OWNER = 0x0500; SII_CONTROL = 0x0502;
+        SII_ADDRESS = 0x0504; SII_DATA = 0x0508; FMMU = 0x0600; SYNC_MANAGER = 0x0800; DC_PORTS = 0x0900;
+        DC_TIME = 0x0910; DC_RECEIVED = 0x0918; DC_OFFSET = 0x0920; DC_DELAY = 0x0928;
+        DC_DIFFERENCE = 0x092C; DC_SPEED = 0x0930; DC_FILTER = 0x0934; DC_CONTROL = 0x0980;
+        DC_ACTIVATION = 0x0981; DC_START = 0x0990; DC_CYCLE = 0x09A0;
+    }
 
     /// FMMU `n`.
     pub const fn fmmu(n: u16) -> u16 {
@@ -62,11 +29,9 @@ pub mod address {
 
 /// Bits of the features.
 pub mod feature {
-    pub const CLOCK: u16 = 1 << 2;
-    pub const LONG_CLOCK: u16 = 1 << 3;
-    pub const NO_LRW: u16 = 1 << 9;
-    /// BRW, APRW and FPRW are missing.
-    pub const NO_READ_WRITE: u16 = 1 << 10;
+    constants! { u16:
+        CLOCK = 1 << 2; LONG_CLOCK = 1 << 3; NO_LRW = 1 << 9; NO_READ_WRITE = 1 << 10;
+    }
 }
 
 /// A state of the EtherCAT state machine; ordered as they are entered.
@@ -96,25 +61,18 @@ impl AlState {
 
 /// Bits of AL control and AL status above the state.
 pub mod al {
-    /// In AL control: acknowledges; in AL status: there is an error.
-    pub const ERROR: u16 = 1 << 4;
-    /// In AL control: identification is requested; in AL status: the code is the identification (ETG.1020).
-    pub const IDENTIFICATION: u16 = 1 << 5;
+    constants! { u16:
+        ERROR = 1 << 4; IDENTIFICATION = 1 << 5;
+    }
 }
 
 /// AL status codes.
 pub mod code {
-    pub const NONE: u16 = 0x0000;
-    pub const INVALID_REQUEST: u16 = 0x0011;
-    pub const UNKNOWN_STATE: u16 = 0x0012;
-    pub const NO_BOOT: u16 = 0x0013;
-    pub const MAILBOX: u16 = 0x0016;
-    pub const SYNC_MANAGER: u16 = 0x0017;
-    pub const SYNCHRONISATION: u16 = 0x001A;
-    pub const WATCHDOG: u16 = 0x001B;
-    pub const OUTPUTS: u16 = 0x001D;
-    pub const INPUTS: u16 = 0x001E;
-    pub const NO_SII: u16 = 0x0050;
+    constants! { u16:
+        NONE = 0x0000; INVALID_REQUEST = 0x0011; UNKNOWN_STATE = 0x0012; NO_BOOT = 0x0013; MAILBOX = 0x0016;
+        SYNC_MANAGER = 0x0017; SYNCHRONISATION = 0x001A; WATCHDOG = 0x001B; OUTPUTS = 0x001D;
+        INPUTS = 0x001E; NO_SII = 0x0050;
+    }
 }
 
 /// A SyncManager as the master sets it.
@@ -129,34 +87,14 @@ pub struct SyncManager {
 impl SyncManager {
     /// Bytes of its registers.
     pub const SIZE: usize = 8;
-    /// Offsets of its status, of `activate` and of the slave's control.
-    pub const STATUS: u16 = 5;
-    /// See [`STATUS`](Self::STATUS).
-    pub const ACTIVATE: u16 = 6;
-    /// See [`STATUS`](Self::STATUS).
-    pub const PDI_CONTROL: u16 = 7;
-    /// Usual control bytes, with an interrupt for the slave.
-    pub const MAILBOX_OUT: u8 = 0x26;
-    /// See [`MAILBOX_OUT`](Self::MAILBOX_OUT).
-    pub const MAILBOX_IN: u8 = 0x22;
-    /// See [`MAILBOX_OUT`](Self::MAILBOX_OUT).
-    pub const OUTPUTS: u8 = 0x24;
-    /// See [`MAILBOX_OUT`](Self::MAILBOX_OUT).
-    pub const INPUTS: u8 = 0x20;
-    /// In the control byte: writing feeds the watchdog.
-    pub const WATCHDOG: u8 = 1 << 6;
-    /// In the status: written, read, the mailbox is full.
-    pub const WRITTEN: u8 = 1 << 0;
-    /// See [`WRITTEN`](Self::WRITTEN).
-    pub const READ: u8 = 1 << 1;
-    /// See [`WRITTEN`](Self::WRITTEN).
-    pub const FULL: u8 = 1 << 3;
-    /// In `activate`: it is on.
-    pub const ON: u8 = 1 << 0;
-    /// In `activate`: toggled, it requests the last message again; in the slave's control: the acknowledgement.
-    pub const REPEAT: u8 = 1 << 1;
-    /// In the slave's control: the slave has locked it.
-    pub const LOCKED: u8 = 1 << 0;
+    // Offsets of the status, of the activate register and of the PDI control.
+    constants! { u16: STATUS = 5; ACTIVATE = 6; PDI_CONTROL = 7; }
+    // Usual control bytes, and the bit in them by which a write feeds the watchdog.
+    constants! { u8:
+        MAILBOX_OUT = 0x26; MAILBOX_IN = 0x22; OUTPUTS = 0x24; INPUTS = 0x20; WATCHDOG = 1 << 6;
+    }
+    // Status: written, read, mailbox full. Activate: on, repeat request. PDI control: locked, repeat acknowledged.
+    constants! { u8: WRITTEN = 1 << 0; READ = 1 << 1; FULL = 1 << 3; ON = 1 << 0; REPEAT = 1 << 1; LOCKED = 1 << 0; }
 
     /// Switched on.
     pub const fn on(start: u16, length: u16, control: u8) -> SyncManager {
@@ -169,7 +107,7 @@ impl SyncManager {
         SyncManager { start: u16_at(&bytes, 0), length: u16_at(&bytes, 2), control, activate }
     }
 
-    /// Its registers, with the slave's at 0.
+    /// The registers as written by a master: those of the slave are 0.
     pub fn to_bytes(self) -> [u8; SyncManager::SIZE] {
         let ([s0, s1], [l0, l1]) = (self.start.to_le_bytes(), self.length.to_le_bytes());
         [s0, s1, l0, l1, self.control, 0, self.activate, 0]
@@ -185,7 +123,7 @@ impl SyncManager {
         self.control >> 2 & 0b11 == 0b01
     }
 
-    /// Its use in the SII: 1 and 2 mailboxes, 3 outputs, 4 inputs.
+    /// The type in the SII: 1 mailbox out, 2 mailbox in, 3 outputs, 4 inputs.
     pub fn usage(self) -> u8 {
         match (self.is_mailbox(), self.is_output()) {
             (true, true) => 1,
@@ -209,7 +147,7 @@ pub struct Fmmu {
     pub physical: (u16, u8),
     /// [`READ`](Self::READ) or [`WRITE`](Self::WRITE).
     pub kind: u8,
-    /// It is on.
+    /// Bit 0 of the activate register.
     pub active: bool,
 }
 
@@ -238,7 +176,7 @@ impl Fmmu {
         }
     }
 
-    /// Its registers.
+    /// The registers.
     pub fn to_bytes(self) -> [u8; Fmmu::SIZE] {
         let [a, b, c, d] = self.logical.to_le_bytes();
         let ([l0, l1], [p0, p1]) = (self.length.to_le_bytes(), self.physical.0.to_le_bytes());

@@ -2,19 +2,10 @@
 
 /// Word addresses.
 pub mod word {
-    pub const ALIAS: usize = 0x04;
-    /// The checksum of the words before it.
-    pub const CHECK: usize = 0x07;
-    pub const VENDOR: usize = 0x08;
-    pub const PRODUCT: usize = 0x0A;
-    pub const REVISION: usize = 0x0C;
-    pub const SERIAL: usize = 0x0E;
-    /// Start and length of the mailbox that the master writes, of the other one; and the protocols.
-    pub const MAILBOXES: usize = 0x18;
-    pub const PROTOCOLS: usize = 0x1C;
-    pub const SIZE: usize = 0x3E;
-    pub const VERSION: usize = 0x3F;
-    pub const CATEGORIES: usize = 0x40;
+    constants! { usize:
+        ALIAS = 0x04; CHECK = 0x07; VENDOR = 0x08; PRODUCT = 0x0A; REVISION = 0x0C; SERIAL = 0x0E;
+        MAILBOXES = 0x18; PROTOCOLS = 0x1C; SIZE = 0x3E; VERSION = 0x3F; CATEGORIES = 0x40;
+    }
 }
 
 /// CoE, in the protocols.
@@ -22,31 +13,17 @@ pub const COE: u16 = 1 << 2;
 
 /// Categories.
 pub mod category {
-    pub const STRINGS: u16 = 10;
-    pub const GENERAL: u16 = 30;
-    pub const FMMU: u16 = 40;
-    pub const SYNC_MANAGERS: u16 = 41;
-    pub const TX_PDO: u16 = 50;
-    pub const RX_PDO: u16 = 51;
-    pub const END: u16 = 0xFFFF;
+    constants! { u16:
+        STRINGS = 10; GENERAL = 30; FMMU = 40; SYNC_MANAGERS = 41; TX_PDO = 50; RX_PDO = 51; END = 0xFFFF;
+    }
 }
 
 /// Bits of control and status, and the commands in them.
 pub mod bit {
-    /// Goes with the command to write.
-    pub const WRITES: u16 = 1 << 0;
-    /// The firmware emulates the EEPROM.
-    pub const EMULATED: u16 = 1 << 5;
-    /// A read returns eight bytes, otherwise four.
-    pub const EIGHT: u16 = 1 << 6;
-    pub const COMMAND: u16 = 7 << 8;
-    pub const READ: u16 = 1 << 8;
-    pub const WRITE: u16 = 2 << 8;
-    pub const CHECKSUM: u16 = 1 << 11;
-    pub const UNLOADED: u16 = 1 << 12;
-    pub const REFUSED: u16 = 1 << 13;
-    pub const PROTECTED: u16 = 1 << 14;
-    pub const BUSY: u16 = 1 << 15;
+    constants! { u16:
+        WRITES = 1 << 0; EMULATED = 1 << 5; EIGHT = 1 << 6; COMMAND = 7 << 8; READ = 1 << 8; WRITE = 2 << 8;
+        CHECKSUM = 1 << 11; UNLOADED = 1 << 12; REFUSED = 1 << 13; PROTECTED = 1 << 14; BUSY = 1 << 15;
+    }
 }
 
 /// In the owner: the processor may have it. In the byte behind it: it has it.
@@ -57,11 +34,11 @@ pub const FORCED: u8 = 1 << 1;
 /// Who made a slave, and what it is.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Identity {
-    /// Its vendor.
+    /// The vendor.
     pub vendor: u32,
-    /// Its product code.
+    /// The product code.
     pub product: u32,
-    /// Its revision.
+    /// The revision.
     pub revision: u32,
 }
 

@@ -83,7 +83,7 @@ impl Drive {
         };
         self.track = match wanted && self.state == State::OperationEnabled && word & control::HALT == 0 {
             true => {
-                let (from, over_ns) = (self.track.at(now).0, self.sync.cycle_ns().unwrap_or(MS));
+                let (from, over_ns) = (self.track.at(now).0, self.sync.cycle_ns.unwrap_or(MS));
                 let most = self.most_speed() * over_ns as f64 / S as f64;
                 let way = self.place_of(self.objects.get(object)) - from;
                 Track { from, to: from + way.clamp(-most, most), since: now, over_ns }
@@ -104,7 +104,7 @@ impl Drive {
 
     /// The demand of the motor.
     pub(super) fn aim(&self, at: Time) -> Aim {
-        let stop = self.settings.stop_rpm_s * RPM;
+        let stop = STOP_RPM_S * RPM;
         match self.state {
             State::OperationEnabled => self.motion(at),
             State::SwitchedOn | State::QuickStopActive | State::FaultReactionActive => {
@@ -145,7 +145,7 @@ impl Drive {
         }
     }
 
-    /// It is at its target position, or speed.
+    /// Whether the target position or speed is reached.
     pub(super) fn is_reached(&self) -> bool {
         let is_there = |place: f64| (place - self.power.place()).abs() < REACHED.1;
         match self.aim(self.power.now()) {

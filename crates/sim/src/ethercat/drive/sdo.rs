@@ -3,6 +3,7 @@
 use super::*;
 use crate::ethercat::codec::mailbox::abort;
 use crate::ethercat::mailbox::Request;
+use crate::ethercat::mapping::ENTRIES;
 
 const COUNT: u8 = 0;
 
@@ -20,9 +21,9 @@ impl Drive {
         }
     }
 
-    fn read(&self, object: Object) -> Result<Vec<u8>, u32> {
+    pub(super) fn read(&self, object: Object) -> Result<Vec<u8>, u32> {
         match object {
-            DEVICE_NAME if self.settings.long_sdos.is_some() => Ok(self.settings.name.as_bytes().to_vec()),
+            DEVICE_NAME if self.settings.long_sdos.is_some() => Ok(self.settings.name().as_bytes().to_vec()),
             _ if self.mapping.has(object) => self.mapping.read(object),
             _ => self.objects.read(object),
         }
@@ -31,7 +32,7 @@ impl Drive {
     /// All subindices from that of `object` on, 0 or 1; the count is followed by a padding byte.
     fn read_all(&self, object: Object) -> Result<Vec<u8>, u32> {
         let subs: Vec<u8> = match self.mapping.has(object) {
-            true => (0..=self.mapping.subs()).collect(),
+            true => (0..=ENTRIES as u8).collect(),
             false => self.objects.subs(object.index).collect(),
         };
         match (&subs[..], object.sub) {
@@ -94,7 +95,7 @@ impl Drive {
     }
 
     /// Writes an object for the master.
-    fn write(&mut self, object: Object, data: &[u8]) -> Result<(), u32> {
+    pub(super) fn write(&mut self, object: Object, data: &[u8]) -> Result<(), u32> {
         if self.mapping.has(object) {
             return self.map(object, data);
         }

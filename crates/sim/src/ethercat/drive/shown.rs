@@ -5,16 +5,6 @@ use super::*;
 /// In the error register: there is a fault.
 const GENERIC: u8 = 1 << 0;
 
-/// Bits of the manufacturer's status, 1002h (CAN manual).
-mod manufacturer {
-    pub const MOTION: u32 = 1 << 0;
-    pub const REFERENCE: u32 = 1 << 1;
-    pub const IN_POSITION: u32 = 1 << 3;
-    pub const POWER: u32 = 1 << 14;
-    pub const ERROR: u32 = 1 << 15;
-    pub const EMERGENCY_STOP: u32 = 1 << 19;
-}
-
 impl Drive {
     pub(super) fn status(&self) -> u16 {
         use cia402::status as bit;
@@ -29,7 +19,7 @@ impl Drive {
         };
         let bits = set_bits([
             (powered, bit::VOLTAGE),
-            (!self.sync.is_synchronous(), bit::WARNING),
+            (!self.sync.synchronous, bit::WARNING),
             (self.is_reached(), bit::TARGET_REACHED),
             (runs && bit_12, bit::MODE_12),
             (runs && bit_13, bit::MODE_13),
@@ -38,7 +28,7 @@ impl Drive {
     }
 
     fn manufacturer_status(&self) -> u32 {
-        use manufacturer as M;
+        use crate::ethercat::codec::objects::manufacturer as M;
         set_bits([
             (!self.power.is_standing(), M::MOTION),
             (self.power.homed, M::REFERENCE),

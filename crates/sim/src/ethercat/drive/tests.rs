@@ -18,7 +18,6 @@ struct Bench {
     drive: Drive,
     now: Time,
     cycle_ns: u64,
-    counter: u8,
     outputs: Vec<u8>,
     inputs: Vec<u8>,
 }
@@ -34,14 +33,7 @@ impl Bench {
         change(&mut settings);
         let drive = Drive::new(settings);
         let (outputs, inputs) = drive.sizes();
-        Bench {
-            drive,
-            now: Time(5 * S),
-            cycle_ns: MS,
-            counter: 0,
-            outputs: vec![0; outputs],
-            inputs: vec![0; inputs],
-        }
+        Bench { drive, now: Time(5 * S), cycle_ns: MS, outputs: vec![0; outputs], inputs: vec![0; inputs] }
     }
 
     fn enter(&mut self, state: AlState) -> Result<(), u16> {
@@ -75,7 +67,7 @@ impl Bench {
         bench
     }
 
-    /// The same, and operation is enabled.
+    /// In OP with operation enabled, in this mode with these PDOs.
     fn enabled(mode: i8, outputs: u16, inputs: u16) -> Bench {
         let mut bench = Bench::op(mode, outputs, inputs);
         bench.put(INTERPOLATION, bench.drive.position());
@@ -84,7 +76,7 @@ impl Bench {
         bench
     }
 
-    /// The same by velocity setpoints, with this one for so many cycles.
+    /// Operation enabled with this velocity setpoint, after so many cycles.
     fn turning(setpoint: i64, cycles: u32) -> Bench {
         let mut bench = Bench::enabled(mode::DIGITAL_VELOCITY, 0x1702, 0x1B03);
         bench.put(VELOCITY_SETPOINT, setpoint);
@@ -138,6 +130,10 @@ impl Bench {
         self.got(STATUS_WORD) as u16
     }
 
+    fn shows(&self, bits: u16) -> bool {
+        self.status() & bits == bits
+    }
+
     fn is(&self, state: State) -> bool {
         self.status() & 0x6F == cia402::status_of(state)
     }
@@ -148,30 +144,8 @@ impl Bench {
         all.iter().find(|(own, ..)| *own == object).unwrap().1.read(bytes)
     }
 
-    /// Sends an SDO of eight bytes, and returns the data of the answer.
-    fn ask(&mut self, command: u8, object: Object, data: [u8; 4]) -> Result<Vec<u8>, u32> {
-        self.counter = self.counter % 7 + 1;
-        let [low, high] = object.index.to_le_bytes();
-        let head = [10, 0, 0, 0, 0, 3 | self.counter << 4, 0, 0x20, command, low, high, object.sub];
-        let mut reply = Vec::new();
-        assert!(self.drive.mailbox(&[&head[..], &data].concat(), &mut reply));
-        while reply[7] >> 4 == 1 {
-            assert!(self.drive.message(&mut reply));
-        }
-        let value = u32::from_le_bytes(reply[12..16].try_into().unwrap());
-        assert_eq!(reply[9..12], [low, high, object.sub]);
-        match reply[8] {
-            0x80 => Err(value),
-            0x60 => Ok(Vec::new()),
-            short => Ok(reply[12..16 - usize::from(short >> 2 & 3)].to_vec()),
-        }
-    }
-
     fn write(&mut self, index: u16, sub: u8, data: &[u8]) -> Result<(), u32> {
-        let mut value = [0; 4];
-        value[..data.len()].copy_from_slice(data);
-        let command = 0x23 | (4 - data.len() as u8) << 2;
-        self.ask(command, Object::new(index, sub), value).map(|_| ())
+        self.drive.write(Object::new(index, sub), data)
     }
 
     fn read(&mut self, index: u16, sub: u8) -> Result<i64, u32> {
@@ -181,7 +155,8 @@ impl Bench {
 
     /// The bytes of an object.
     fn bytes(&mut self, index: u16, sub: u8) -> Result<Vec<u8>, u32> {
-        self.ask(0x40, Object::new(index, sub), [0; 4])
+        self.drive.refresh();
+        self.drive.read(Object::new(index, sub))
     }
 
     /// The emergencies that wait.

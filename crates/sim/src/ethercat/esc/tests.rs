@@ -1,5 +1,5 @@
 use super::super::codec::frame::Command::*;
-use super::super::testing::{Bench, logical};
+use super::super::tests::{Bench, logical};
 use super::*;
 
 /// Memory that nothing guards.
@@ -12,7 +12,7 @@ fn three() -> Bench {
 }
 
 #[test]
-fn each_command_counts_as_often_as_it_is_carried_out_and_only_positions_are_counted_on() {
+fn working_counter_and_position_of_each_command() {
     let mut bench = three();
     let second = 0xFFFF;
     for (command, count, back) in [
@@ -54,7 +54,7 @@ fn each_command_counts_as_often_as_it_is_carried_out_and_only_positions_are_coun
 }
 
 #[test]
-fn reads_of_all_are_or_ed_and_a_state_may_come_out_that_is_none() {
+fn broadcast_reads_are_or_ed() {
     let mut bench = Bench::drives(|_| {});
     bench.all_to(&[AlState::SafeOp]);
     bench.go(1, AlState::Op);
@@ -69,7 +69,7 @@ fn reads_of_all_are_or_ed_and_a_state_may_come_out_that_is_none() {
 }
 
 #[test]
-fn what_was_there_is_read_and_what_reaches_each_slave_is_written() {
+fn read_write_commands_return_old_values_and_write_what_reaches_each_slave() {
     let values = |bench: &mut Bench| [0, 1, 2].map(|n| bench.read(n, FREE).map(|[byte]| byte).unwrap());
     for (was, command, sent, back, are) in [
         ([1, 2, 4], (Fprw, 0x1002, FREE), 0x80, 2, [1, 0x80, 4]),
@@ -87,7 +87,7 @@ fn what_was_there_is_read_and_what_reaches_each_slave_is_written() {
 }
 
 #[test]
-fn a_slave_does_not_do_what_its_features_lack() {
+fn commands_that_the_features_lack_are_not_carried_out() {
     let mut bench = Bench::drives(|settings| settings.features = 0x0784);
     bench.all_to(&[AlState::SafeOp]);
     assert_eq!(bench.send(logical(Lrw, 0x1_0000), &[7; 28]), (vec![7; 28], 0));

@@ -1,7 +1,7 @@
 use super::super::Settings;
 use super::super::codec::frame::Command::*;
 use super::super::codec::registers::AlState as S;
-use super::super::testing::{Bench, Script, logical, with_mailbox};
+use super::super::tests::{Bench, Script, logical, with_mailbox};
 use super::*;
 use crate::testing::hex;
 use fieldbeat_core::time::MS;
@@ -78,7 +78,7 @@ fn preop_needs_the_mailboxes_and_safeop_and_op_process_data_of_the_right_lengths
 }
 
 #[test]
-fn the_application_refuses_with_its_own_code_or_is_asked_again() {
+fn the_application_refuses_with_its_own_code_or_delays_a_state() {
     let mut bench = at(S::SafeOp);
     script(&bench).refuses = Some((S::Op, code::SYNCHRONISATION));
     assert_eq!(bench.go(0, S::Op), (S::SafeOp, Some(0x001A)));
@@ -101,7 +101,7 @@ fn the_application_refuses_with_its_own_code_or_is_asked_again() {
 }
 
 #[test]
-fn what_cannot_stay_in_op_falls_back_and_its_outputs_count_no_more() {
+fn a_slave_that_leaves_op_by_itself_ignores_its_outputs() {
     let mut bench = at(S::Op);
     let image = logical(Lrw, 0x1_0000);
     bench.send(image, &[7; 28]);
@@ -117,7 +117,7 @@ fn what_cannot_stay_in_op_falls_back_and_its_outputs_count_no_more() {
 }
 
 #[test]
-fn a_message_is_answered_once_and_its_places_are_empty_and_full_in_turn() {
+fn a_message_is_answered_once_and_both_mailboxes_show_when_they_are_full() {
     let mut bench = at(S::PreOp);
     let request = hex(REQUEST);
     assert_eq!(bench.read::<16>(0, 0x1C00), None, "empty");
@@ -150,7 +150,7 @@ fn a_lost_answer_is_offered_again() {
     bench.write(0, 0x080E, &[1]);
     assert_eq!(bench.read(0, 0x080F), Some([0]));
     assert_eq!(bench.read::<0x400>(0, 0x1C00), Some(first));
-    // What nobody asked for comes first, and the answer behind it.
+    // An emergency comes first, and the answer behind it.
     let emergency = hex("0A00 0000 00 03 0010 1043 08 01 00000000");
     script(&bench).messages.push(emergency.clone());
     bench.idle(1);

@@ -2,7 +2,7 @@ mod slaves;
 
 use super::super::codec::registers::address;
 use super::super::codec::sii::word;
-use super::super::testing::Bench;
+use super::super::tests::Bench;
 use super::*;
 use crate::ethercat::{SiiContent, SiiSettings};
 use fieldbeat_core::time::S;
@@ -45,7 +45,7 @@ fn sii(bench: &mut Bench, n: u16, at: usize) -> u32 {
 }
 
 #[test]
-fn the_slaves_stand_in_their_places_and_say_who_they_are() {
+fn slaves_are_at_their_positions_with_their_identities() {
     let mut bench = bench(&segment());
     assert_eq!(bench.segment.slaves(), 4);
     let identity = |bench: &mut Bench, n| [word::VENDOR, word::PRODUCT].map(|word| sii(bench, n, word));

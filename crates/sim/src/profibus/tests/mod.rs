@@ -14,10 +14,12 @@ use super::*;
 use crate::serial::Medium;
 use crate::testing::hex;
 use fieldbeat_core::time::MS;
-use fieldbeat_profibus::RATES;
 
 const MASTER: u8 = 2;
 const SLAVE: u8 = 7;
+/// The bit rates of PROFIBUS DP.
+const RATES: [u32; 10] =
+    [9_600, 19_200, 45_450, 93_750, 187_500, 500_000, 1_500_000, 3_000_000, 6_000_000, 12_000_000];
 const START: Time = Time(1_000_000_000);
 
 /// A wire and a master at it.

@@ -22,7 +22,7 @@ pub(super) struct Script {
     pub(super) cycles: Vec<(Time, Vec<u8>)>,
 }
 
-/// The same script on both sides.
+/// A script that is shared by the test and the application.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Scripted(Arc<Mutex<Script>>);
 
@@ -98,7 +98,7 @@ impl Bench {
         Bench::of(Segment::new(slaves))
     }
 
-    /// The same with an existing segment.
+    /// An existing segment, with station addresses from 0x1001 on.
     pub(super) fn of(segment: Segment) -> Bench {
         let count = segment.slaves() as u16;
         let mut bench = Bench::left(segment);
@@ -109,7 +109,7 @@ impl Bench {
         bench
     }
 
-    /// The same with the station addresses that it has.
+    /// An existing segment with the station addresses that it has.
     pub(super) fn left(segment: Segment) -> Bench {
         Bench { segment, now: Time(S), scripts: Vec::new() }
     }
@@ -165,10 +165,10 @@ impl Bench {
         (data, count)
     }
 
-    /// The same, with the first half of the address as it comes back.
+    /// Sends a datagram; returns data, working counter and the first half of the address as they come back.
     pub(super) fn send_whole(&mut self, to: (Command, u16, u16), data: &[u8]) -> (Vec<u8>, u16, u16) {
         let (length, end) = (data.len() as u16, 26 + data.len());
-        let [header, a, b, l] = [0x1000 | 12 + length, to.1, to.2, length].map(u16::to_le_bytes);
+        let [header, a, b, l] = [0x1000 | (12 + length), to.1, to.2, length].map(u16::to_le_bytes);
         let mut frame = [&[0xFF; 6][..], &[0x10; 6], &[0x88, 0xA4], &header, &[to.0 as u8, 7]].concat();
         frame.extend([&a[..], &b, &l, &[0; 2], data, &[0; 2]].concat());
         self.segment.pass(self.now, &mut frame);
