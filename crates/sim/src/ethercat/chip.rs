@@ -61,17 +61,12 @@ pub(super) struct Passage {
 }
 
 /// A slave controller without its firmware.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(super) struct Chip {
     memory: Vec<u8>,
-    features: u16,
-    receive_times: bool,
-    device_id: Option<u16>,
-    /// The device id that is shown on request only, and whether it is requested.
-    identification: Option<u16>,
+    pub(super) settings: Settings,
+    /// Identification is requested.
     pub(super) identifies: bool,
-    /// AL status follows AL control.
-    emulated: bool,
     pub(super) managers: Vec<Manager>,
     fmmus: Vec<Fmmu>,
     pub(super) eeprom: Eeprom,
@@ -92,57 +87,44 @@ pub(super) struct Chip {
 }
 
 impl Chip {
-    pub(super) fn new(settings: &Settings, sii: Vec<u16>) -> Chip {
+    pub(super) fn new(settings: Settings, sii: Vec<u16>) -> Chip {
+        let is_long = settings.features & feature::LONG_CLOCK != 0;
         let mut chip = Chip {
             memory: vec![0; END],
-            features: settings.features,
-            receive_times: settings.receive_times || settings.features & feature::CLOCK != 0,
-            device_id: settings.device_id,
-            identification: settings.identification,
-            identifies: false,
-            emulated: settings.emulated,
             managers: vec![Manager::default(); SYNC_MANAGERS],
             fmmus: vec![Fmmu::default(); settings.fmmus.min(32).into()],
             eeprom: Eeprom::new(sii, settings.sii_access),
-            clock: Clock::new(
-                settings.features & feature::LONG_CLOCK != 0,
-                settings.clock_ns,
-                settings.drift_ppm,
-                settings.settling,
-            ),
-            passage: Passage::default(),
-            requested: None,
-            filled: None,
-            outputs: false,
-            events: 0,
-            fed: None,
-            expired: false,
-            misuse: Misuse::default(),
-            met: Met::default(),
+            clock: Clock::new(is_long, settings.clock_ns, settings.drift_ppm, settings.settling),
+            settings,
+            ..Chip::default()
         };
-        chip.describe(settings);
+        chip.describe();
         chip
     }
 
     /// Writes the descriptive registers.
-    fn describe(&mut self, settings: &Settings) {
-        let [features, divider, ticks] = [self.features, DIVIDER, TICKS].map(u16::to_le_bytes);
+    fn describe(&mut self) {
+        let [features, divider, ticks] = [self.settings.features, DIVIDER, TICKS].map(u16::to_le_bytes);
         self.put(address::TYPE, &KIND);
         let (fmmus, managers) = (self.fmmus.len() as u8, self.managers.len() as u8);
-        self.put(address::RESOURCES, &[fmmus, managers, RAM_KIB, settings.ports]);
+        self.put(address::RESOURCES, &[fmmus, managers, RAM_KIB, self.settings.ports]);
         self.put(address::FEATURES, &features);
         self.put(address::WATCHDOG_DIVIDER, &divider);
-        self.put(address::PDI_CONTROL, if self.emulated { &EMULATED } else { &PROCESSOR });
+        self.put(address::PDI_CONTROL, if self.settings.emulated { &EMULATED } else { &PROCESSOR });
         self.put(address::PDI_WATCHDOG, &ticks);
         self.put(address::WATCHDOG, &ticks);
         self.put(address::DC_SPEED, &[0x00, 0x10, 0, 0, 0x00, 0x0C]);
         let alias = self.eeprom.alias();
         self.put(address::ALIAS, &alias.to_le_bytes());
-        if settings.sii_access.owned_by_slave {
+        if self.settings.sii_access.owned_by_slave {
             self.give_sii();
         }
         self.show_state(AlState::Init, false, code::NONE);
         self.events = 0;
+    }
+
+    fn has_clock(&self) -> bool {
+        self.settings.features & feature::CLOCK != 0
     }
 
     // What the slave's firmware does with it.
@@ -177,8 +159,8 @@ impl Chip {
 
     /// Shows a state, and locks the parts that it does not use.
     pub(super) fn show_state(&mut self, state: AlState, error: bool, code: u16) {
-        let requested = self.identification.filter(|_| self.identifies);
-        let own = self.device_id.or(requested).filter(|_| !error);
+        let requested = self.settings.identification.filter(|_| self.identifies);
+        let own = self.settings.device_id.or(requested).filter(|_| !error);
         let status = state as u16
             | if error { al::ERROR } else { 0 }
             | if own.is_some() { al::IDENTIFICATION } else { 0 };
@@ -186,7 +168,7 @@ impl Chip {
         self.put(address::AL_CODE, &own.unwrap_or(code).to_le_bytes());
         self.events |= STATE_CHANGED;
         // What locks buffers is a processor.
-        let unlocked = if self.emulated { AlState::Op } else { state };
+        let unlocked = if self.settings.emulated { AlState::Op } else { state };
         self.managers.iter_mut().for_each(|manager| manager.enter(unlocked));
         if state == AlState::Init {
             self.filled = None;
@@ -196,7 +178,7 @@ impl Chip {
 
     /// The state in device emulation: the one requested last.
     pub(super) fn emulated_state(&self) -> Option<AlState> {
-        AlState::of(self.word(address::AL_STATUS)).filter(|_| self.emulated)
+        AlState::of(self.word(address::AL_STATUS)).filter(|_| self.settings.emulated)
     }
 
     /// Whether its processor may read the SII: the master has given it.
@@ -333,7 +315,7 @@ impl Chip {
         self.put(address::REQUESTS, &requests.to_le_bytes());
         let runs = self.watchdog_ns().is_none() || (self.fed.is_some() && !self.expired);
         self.put(address::WATCHDOG_STATUS, &[u8::from(runs)]);
-        if self.features & feature::CLOCK != 0 {
+        if self.has_clock() {
             let (system_time, difference) = (self.clock.system_time(), self.clock.difference());
             self.put(address::DC_TIME, &system_time.to_le_bytes());
             self.put(address::DC_DIFFERENCE, &difference.to_le_bytes());

@@ -18,7 +18,6 @@ const SYNC0_ON: [u8; 2] = [0x00, 0x03];
 /// A slave of the segment.
 #[derive(Debug)]
 pub struct Esc {
-    settings: Settings,
     links: [bool; 4],
     deaf: bool,
     chip: Chip,
@@ -31,12 +30,11 @@ impl Esc {
     /// Just powered on, in INIT.
     pub fn new(settings: Settings, application: Box<dyn Application>) -> Esc {
         Esc {
-            chip: Chip::new(&settings, settings.sii.clone()),
-            firmware: Firmware::new(application, &settings),
+            chip: Chip::new(settings.clone(), settings.sii),
+            firmware: Firmware::new(application),
             links: [false; 4],
             deaf: false,
             sent: Vec::new(),
-            settings,
         }
     }
 
@@ -127,7 +125,7 @@ impl Esc {
     /// Power cycle: everything is lost except its EEPROM.
     pub fn restart(&mut self, now: Time) {
         let sii = std::mem::take(&mut self.chip.eeprom.words);
-        self.chip = Chip::new(&self.settings, sii);
+        self.chip = Chip::new(std::mem::take(&mut self.chip.settings), sii);
         self.chip.link(self.links);
         self.firmware.restart(now);
     }
@@ -156,7 +154,7 @@ impl Esc {
 
     /// The delay from the slave before it.
     pub(super) fn delay_ns(&self) -> u64 {
-        self.settings.delay_ns
+        self.chip.settings.delay_ns
     }
 
     /// Lets a frame with datagrams at these offsets pass.
@@ -168,7 +166,7 @@ impl Esc {
         }
         let is_synchronous = self.chip.clock.next_sync().is_some();
         let has_outputs = self.chip.managers.iter().any(|manager| manager.is_process(true));
-        if !is_synchronous && (!has_outputs || self.settings.emulated) {
+        if !is_synchronous && (!has_outputs || self.chip.settings.emulated) {
             self.firmware.cycle(&mut self.chip, at);
         }
         self.chip.begin(passage);
@@ -215,7 +213,7 @@ impl Esc {
             Brd => self.chip.read(at, data, true).into(),
             Lrd => self.chip.read_logical(logical, data).into(),
             Lwr => self.chip.write_logical(logical, data).into(),
-            Lrw if self.settings.features & feature::NO_LRW == 0 => {
+            Lrw if self.chip.settings.features & feature::NO_LRW == 0 => {
                 // The received data are written, not the read data.
                 let written = self.chip.write_logical(logical, data);
                 u16::from(self.chip.read_logical(logical, data)) + 2 * u16::from(written)
@@ -226,7 +224,7 @@ impl Esc {
 
     /// Reads, then writes the received data.
     fn exchange(&mut self, at: u16, data: &mut [u8], or: bool) -> u16 {
-        if self.settings.features & feature::NO_READ_WRITE != 0 {
+        if self.chip.settings.features & feature::NO_READ_WRITE != 0 {
             return 0;
         }
         self.sent.clear();

@@ -6,7 +6,6 @@ use std::ops::Range;
 use super::chip::{Chip, END};
 use super::codec::registers::{AlState, SyncManager, address, al, code};
 use super::codec::sii::word;
-use super::hardware::Settings;
 use super::manager::Manager;
 use super::slave::MailboxSettings;
 use super::{Application, Drive};
@@ -19,18 +18,11 @@ const MEMORY: usize = 0x1000;
 #[derive(Debug)]
 pub(super) struct Firmware {
     application: Box<dyn Application>,
-    reaction_ns: u64,
-    has_mailbox: bool,
-    /// The SII is read on the way to PREOP.
-    reads_sii: bool,
-    /// The SyncManagers that it wants; empty: it does not compare them.
-    wanted: Vec<SyncManager>,
     pub(super) state: AlState,
     /// Why it refused, or fell back, until that is acknowledged.
     pub(super) error: Option<u16>,
     /// The requested state of the application that it cannot enter yet.
     pending: Option<AlState>,
-    manner: MailboxSettings,
     /// A message that waits for room in the mailbox, and when it is ready.
     waiting: Option<(Time, Vec<u8>)>,
     /// Answers so far.
@@ -45,18 +37,12 @@ pub(super) struct Firmware {
 }
 
 impl Firmware {
-    pub(super) fn new(application: Box<dyn Application>, settings: &Settings) -> Firmware {
-        let protocols = settings.sii.get(word::PROTOCOLS);
+    pub(super) fn new(application: Box<dyn Application>) -> Firmware {
         Firmware {
             application,
-            reaction_ns: settings.reaction_ns,
-            has_mailbox: protocols.is_some_and(|protocols| *protocols != 0),
-            reads_sii: settings.sii_access.read_in_preop,
-            wanted: settings.managers.clone(),
             state: AlState::Init,
             error: None,
             pending: None,
-            manner: settings.mailbox,
             waiting: None,
             answers: 0,
             last: Vec::new(),
@@ -107,7 +93,7 @@ impl Firmware {
     pub(super) fn work(&mut self, chip: &mut Chip, now: Time) {
         self.application.advance(now);
         self.stay(chip, now);
-        if chip.requested.is_some_and(|requested| now.since(requested) >= self.reaction_ns) {
+        if chip.requested.is_some_and(|requested| now.since(requested) >= chip.settings.reaction_ns) {
             let request = chip.take_request();
             self.take(chip, request, now);
         }
@@ -213,11 +199,11 @@ impl Firmware {
         if self.state == AlState::Init || state == AlState::Init {
             self.forget();
         }
-        if state == AlState::PreOp && self.reads_sii {
+        if state == AlState::PreOp && chip.settings.sii_access.read_in_preop {
             chip.give_sii();
         }
         let rises = state > std::mem::replace(&mut self.state, state);
-        chip.met.exact_managers += u32::from(rises && !self.wanted.is_empty());
+        chip.met.exact_managers += u32::from(rises && !chip.settings.managers.is_empty());
         self.pending = None;
         if state == AlState::Op {
             // The watchdog runs from here on.
@@ -235,8 +221,10 @@ impl Firmware {
     /// Faults of the SyncManagers for a state.
     fn check(&self, chip: &Chip, state: AlState) -> Result<(), u16> {
         match state {
-            AlState::PreOp if self.reads_sii && !chip.has_sii() => Err(code::NO_SII),
-            AlState::PreOp if self.has_mailbox => {
+            AlState::PreOp if chip.settings.sii_access.read_in_preop && !chip.has_sii() => Err(code::NO_SII),
+            AlState::PreOp
+                if chip.settings.sii.get(word::PROTOCOLS).is_some_and(|protocols| *protocols != 0) =>
+            {
                 let fits = |n: usize, output| chip.managers.get(n).is_some_and(|m| m.is_mailbox(output));
                 if fits(0, true) && fits(1, false) { self.compare(chip, state) } else { Err(code::MAILBOX) }
             }
@@ -250,7 +238,7 @@ impl Firmware {
     /// Compares the SyncManagers that a state needs with the wanted ones: start, length, control, and whether they
     /// are on.
     fn compare(&self, chip: &Chip, state: AlState) -> Result<(), u16> {
-        for (n, wanted) in self.wanted.iter().enumerate() {
+        for (n, wanted) in chip.settings.managers.iter().enumerate() {
             let is_due = wanted.is_mailbox() || state >= AlState::SafeOp;
             let set = chip.managers.get(n).map(|manager| manager.setting).unwrap_or_default();
             let fits = SyncManager { activate: wanted.activate, ..set } == *wanted;
@@ -285,8 +273,8 @@ impl Firmware {
     /// Serves the mailbox: one message at a time.
     fn mailbox(&mut self, chip: &mut Chip, now: Time) {
         let is_requested = chip.takes_repeat();
-        chip.met.unheeded_repeats += u32::from(is_requested && !self.manner.resends);
-        let again = is_requested && self.manner.resends && self.waiting.is_none();
+        chip.met.unheeded_repeats += u32::from(is_requested && !chip.settings.mailbox.resends);
+        let again = is_requested && chip.settings.mailbox.resends && self.waiting.is_none();
         if again && !self.last.is_empty() && chip.has_room() {
             self.waiting = Some((now, self.last.clone()));
         }
@@ -298,7 +286,7 @@ impl Firmware {
                 self.post(chip, now);
             }
         }
-        let is_due = chip.filled.is_some_and(|filled| now.since(filled) >= self.reaction_ns);
+        let is_due = chip.filled.is_some_and(|filled| now.since(filled) >= chip.settings.reaction_ns);
         if is_due && self.waiting.is_none() {
             let request = chip.take_message();
             let mut reply = Vec::new();
@@ -312,7 +300,7 @@ impl Firmware {
     /// Takes an answer of the application, at once, late or not at all.
     fn answer(&mut self, chip: &mut Chip, reply: Vec<u8>, now: Time) {
         self.answers += 1;
-        let MailboxSettings { delay_ns, delay_every, lose_every, .. } = self.manner;
+        let MailboxSettings { delay_ns, delay_every, lose_every, .. } = chip.settings.mailbox;
         let is_one_of = |every: u32| every > 0 && self.answers.is_multiple_of(every);
         if is_one_of(lose_every) {
             chip.met.lost_answers += 1;

@@ -60,7 +60,7 @@ struct Download {
 }
 
 /// The mailbox of one slave.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(super) struct Mailbox {
     dialect: Dialect,
     /// Bytes of the mailbox that the master reads, of a slave that supports more than expedited transfers.
@@ -77,15 +77,7 @@ pub(super) struct Mailbox {
 impl Mailbox {
     /// `room`: bytes of the mailbox that the master reads, of a slave that supports more than expedited transfers.
     pub(super) fn new(dialect: Dialect, room: Option<usize>) -> Mailbox {
-        Mailbox {
-            dialect,
-            room: room.map(|room| room.max(SDO_SIZE)),
-            upload: None,
-            download: None,
-            last: 0,
-            stale: [0; EXPEDITED_MAX],
-            queue: VecDeque::new(),
-        }
+        Mailbox { dialect, room: room.map(|room| room.max(SDO_SIZE)), ..Mailbox::default() }
     }
 
     /// Switched off and on.

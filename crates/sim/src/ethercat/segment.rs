@@ -160,14 +160,10 @@ mod tests {
              00000100 1C80 0000 A0860100 0F00 6079FEFF 0700 00000000 0000 0000 00000000 0000 0000 0000 | 07 \
              44 0000 3001 0200 0000 0000 0000",
         );
-        assert_eq!(
-            back,
-            hex(
-                "FFFFFFFFFFFF 121010101010 88A4 4A10 | 0E 42 0110 1009 0880 0000 15BF613101000000 0200 | 0C \
+        let answer = "FFFFFFFFFFFF 121010101010 88A4 4A10 | 0E 42 0110 1009 0880 0000 15BF613101000000 0200 | 0C \
                  43 00000100 1C80 0000 A0860100 0F00 6079FEFF 0700 40E20100 06FF 3706 FFFFFFFF 0000 3306 \
-                 0600 | 07 44 0200 3001 0200 0000 0800 0200"
-            )
-        );
+                 0600 | 07 44 0200 3001 0200 0000 0800 0200";
+        assert_eq!(back, hex(answer));
         let outputs = |n: usize| bench.scripts[n].script().cycles.last().unwrap().1.clone();
         assert_eq!([0, 1].map(outputs), [hex("A0860100 0F00"), hex("6079FEFF 0700")]);
     }
@@ -213,11 +209,7 @@ mod tests {
         }
         let states = [0, 1].map(|n| bench.segment.slave(n).unwrap().state());
         assert_eq!(states, [AlState::Op, AlState::SafeOp]);
-        assert_eq!(
-            bench.scripts[1].script().requested.last(),
-            Some(&AlState::SafeOp),
-            "it was reported at once"
-        );
+        assert_eq!(bench.scripts[1].script().requested.last(), Some(&AlState::SafeOp));
         assert!(bench.segment.slave(2).is_none());
     }
 }

@@ -71,7 +71,7 @@ pub struct DriveSettings {
 /// Increments per 250 us as rpm, with 2^20 increments a turn.
 const RPM_PER_COUNT: f64 = 4_000.0 * 60.0 / (1 << 20) as f64;
 /// A name of 40 bytes.
-const AKD: &str = "AKD-P00306-NBEC-0000 (a simulated drive)";
+pub(super) const AKD: &str = "AKD-P00306-NBEC-0000 (a simulated drive)";
 /// Vendor of all of them.
 const KOLLMORGEN: u32 = 0x6A;
 

@@ -126,7 +126,7 @@ pub(super) struct Job {
 }
 
 /// The EEPROM and the unit that reads it.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(super) struct Eeprom {
     pub(super) words: Vec<u16>,
     access: SiiSettings,
@@ -143,16 +143,7 @@ pub(super) struct Eeprom {
 
 impl Eeprom {
     pub(super) fn new(words: Vec<u16>, access: SiiSettings) -> Eeprom {
-        let mut eeprom = Eeprom {
-            words,
-            access,
-            error: 0,
-            job: None,
-            data: [0; 8],
-            loaded: false,
-            slipped: None,
-            reads: 0,
-        };
+        let mut eeprom = Eeprom { words, access, ..Eeprom::default() };
         eeprom.load();
         eeprom
     }

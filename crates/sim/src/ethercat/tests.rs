@@ -93,11 +93,6 @@ pub(super) struct Bench {
 }
 
 impl Bench {
-    /// A segment of these, with station addresses from 0x1001 on.
-    pub(super) fn with(slaves: Vec<Esc>) -> Bench {
-        Bench::of(Segment::new(slaves))
-    }
-
     /// An existing segment, with station addresses from 0x1001 on.
     pub(super) fn of(segment: Segment) -> Bench {
         let count = segment.slaves() as u16;
@@ -119,7 +114,7 @@ impl Bench {
         let scripts: Vec<Scripted> = settings.iter().map(|_| Scripted::default()).collect();
         let slaves = settings.into_iter().zip(&scripts);
         let slaves = slaves.map(|(settings, script)| Esc::new(settings, Box::new(script.clone()))).collect();
-        Bench { scripts, ..Bench::with(slaves) }
+        Bench { scripts, ..Bench::of(Segment::new(slaves)) }
     }
 
     /// Two drives with mailboxes and a mapped image as in the sheet, in PREOP.

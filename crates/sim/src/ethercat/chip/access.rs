@@ -44,8 +44,8 @@ impl Chip {
             0x0000..0x0600 => true,
             0x0600..0x0800 => (at - 0x0600) / Fmmu::SIZE < self.fmmus.len(),
             0x0800..0x0900 => (at - 0x0800) / SyncManager::SIZE < self.managers.len(),
-            0x0900..0x0910 | 0x0918..0x0920 => self.receive_times,
-            0x0910..0x0A00 => self.features & feature::CLOCK != 0,
+            0x0900..0x0910 | 0x0918..0x0920 => self.settings.receive_times || self.has_clock(),
+            0x0910..0x0A00 => self.has_clock(),
             USER..PROCESS => true,
             _ => (PROCESS..END).contains(&at),
         }

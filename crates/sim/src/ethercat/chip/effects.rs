@@ -41,7 +41,7 @@ impl Chip {
     fn registers_written(&mut self, range: &Range<usize>) {
         let hit = |at: u16, size: usize| meets(range, at, size);
         if hit(address::AL_CONTROL, 2) {
-            if self.emulated {
+            if self.settings.emulated {
                 let [status, _] = self.word(address::AL_CONTROL).to_le_bytes();
                 self.put(address::AL_STATUS, &[status & SHOWN]);
                 self.events |= STATE_CHANGED;

@@ -5,7 +5,7 @@ use super::*;
 fn chip(change: impl FnOnce(&mut Settings)) -> Chip {
     let mut settings = Settings { features: 0x01CC, ..Settings::default() };
     change(&mut settings);
-    let mut chip = Chip::new(&settings, Vec::new());
+    let mut chip = Chip::new(settings, Vec::new());
     chip.show_state(AlState::SafeOp, false, code::NONE);
     chip
 }
@@ -48,11 +48,7 @@ fn bits_are_mapped_across_bytes_and_leave_their_neighbours() {
     map(&mut chip, 0, crooked(Fmmu::WRITE));
     assert!(chip.write(0x0F00, &[0xFF, 0xFF]));
     assert!(chip.write_logical(0x40, &[0x40, 0x00]));
-    assert_eq!(
-        chip.bytes(0x0F00_u16),
-        [0b0000_1111, 0b1110_0000],
-        "ten bits from bit 3 on, the first one set"
-    );
+    assert_eq!(chip.bytes(0x0F00_u16), [0b0000_1111, 0b1110_0000], "ten bits from bit 3 on");
     // Elsewhere memory is written by bytes: what is not mapped has any value.
     let elsewhere = Fmmu { physical: (0x1100, 3), ..crooked(Fmmu::WRITE) };
     map(&mut chip, 0, elsewhere);
@@ -177,15 +173,11 @@ fn the_watchdog_runs_from_the_last_output_and_can_be_switched_off() {
     };
     assert!(chip.write(address::sync_manager(2), &outputs.to_bytes()));
     chip.begin(Passage { at: Time(5), back: [None; 4] });
-    assert!(
-        chip.write(0x1100, &[9]) && !std::mem::take(&mut chip.outputs) && chip.outputs().next().is_none(),
-        "not whole"
-    );
-    assert!(
-        chip.write(0x1100, &[1, 2])
-            && std::mem::take(&mut chip.outputs)
-            && !std::mem::take(&mut chip.outputs)
-    );
+    let mut written = |data: &[u8]| {
+        assert!(chip.write(0x1100, data));
+        std::mem::take(&mut chip.outputs)
+    };
+    assert_eq!([&[9][..], &[1, 2]].map(&mut written), [false, true], "the first one is not whole");
     assert!(chip.outputs().eq([1, 2]));
     // 1 000 ticks of 100 us.
     assert!(!chip.watchdog_expired(Time(100_000_004)));

@@ -110,61 +110,51 @@ pub enum Access {
 /// An object of the dictionary: its type, when it may be written, and the values that it may have.
 pub type Row = (Object, Type, Access, (i64, i64));
 
+/// Objects of one type with the same rights, each as index and subindex in one number.
+type Group = (Type, Access, &'static [u32]);
+
+macro_rules! groups {
+    ($($kind:ident $access:ident: $($object:literal)*;)*) => {
+        &[$((Type::$kind, Access::$access, &[$($object),*])),*]
+    };
+}
+
 /// The dictionary of a drive family, in order. Where the manuals are silent, type, rights and range are assumed.
 pub fn dictionary(family: Family) -> Vec<Row> {
-    use Access::{PreOp, Read, Write};
-    use Type::{I8, I16, I32, Text, U8, U16, U32};
-    /// Objects of one type with the same rights, each as index and subindex in one number.
-    type Group = (Type, Access, &'static [u32]);
-    const BOTH: &[Group] = &[
-        (
-            U32,
-            Read,
-            &[
-                0x100000, 0x100200, 0x100301, 0x101801, 0x101802, 0x101803, 0x101804, 0x1C3202, 0x1C3302,
-                0x608F01, 0x608F02, 0x60FD00,
-            ],
-        ),
-        (
-            U8,
-            Read,
-            &[
-                0x100100, 0x100300, 0x101800, 0x1C0000, 0x1C0001, 0x1C0002, 0x1C0003, 0x1C0004, 0x1C3200,
-                0x1C3300, 0x608F00, 0x609200, 0x609300, 0x609900, 0x60C100, 0x60C200,
-            ],
-        ),
-        (Text, Read, &[0x100800, 0x100900, 0x100A00]),
-        (U8, PreOp, &[0x1C1200, 0x1C1300]),
-        (U16, PreOp, &[0x1C1201, 0x1C1301]),
-        (U16, Write, &[0x1C3201, 0x1C3301, 0x604000, 0x607200]),
-        (U16, Read, &[0x604100]),
-        (I8, Write, &[0x606000, 0x609800, 0x60C202]),
-        (I8, Read, &[0x606100]),
-        (I32, Read, &[0x606300, 0x606400, 0x606C00]),
-        (
-            U32,
-            Write,
-            &[
-                0x606500, 0x608100, 0x608300, 0x608400, 0x609201, 0x609202, 0x609301, 0x609302, 0x609901,
-                0x609902, 0x609A00,
-            ],
-        ),
-        (I16, Write, &[0x607100]),
-        (I16, Read, &[0x607700]),
-        (I32, Write, &[0x607A00, 0x607C00, 0x60C101, 0x60FF00]),
-        (U8, Write, &[0x60C201]),
-    ];
-    const S700: &[Group] =
-        &[(I32, Read, &[0x207002]), (I32, Write, &[0x35D501, 0x606B00]), (I16, Write, &[0x607400])];
-    const AKD: &[Group] = &[
-        (I32, Read, &[0x205000, 0x20A000, 0x60F400]),
-        (U16, Write, &[0x20A400, 0x60E000, 0x60E100]),
-        (U16, Read, &[0x20A500, 0x603F00]),
-        (I16, Write, &[0x347003, 0x60B200]),
-        (I16, Read, &[0x347004]),
-        (U32, Write, &[0x607F00, 0x608000, 0x60FE01]),
-        (U8, Read, &[0x60FE00]),
-    ];
+    const BOTH: &[Group] = groups! {
+        U32 Read: 0x100000 0x100200 0x100301 0x101801 0x101802 0x101803 0x101804 0x1C3202 0x1C3302 0x608F01
+            0x608F02 0x60FD00;
+        U8 Read: 0x100100 0x100300 0x101800 0x1C0000 0x1C0001 0x1C0002 0x1C0003 0x1C0004 0x1C3200 0x1C3300
+            0x608F00 0x609200 0x609300 0x609900 0x60C100 0x60C200;
+        Text Read: 0x100800 0x100900 0x100A00;
+        U8 PreOp: 0x1C1200 0x1C1300;
+        U16 PreOp: 0x1C1201 0x1C1301;
+        U16 Write: 0x1C3201 0x1C3301 0x604000 0x607200;
+        U16 Read: 0x604100;
+        I8 Write: 0x606000 0x609800 0x60C202;
+        I8 Read: 0x606100;
+        I32 Read: 0x606300 0x606400 0x606C00;
+        U32 Write: 0x606500 0x608100 0x608300 0x608400 0x609201 0x609202 0x609301 0x609302 0x609901 0x609902
+            0x609A00;
+        I16 Write: 0x607100;
+        I16 Read: 0x607700;
+        I32 Write: 0x607A00 0x607C00 0x60C101 0x60FF00;
+        U8 Write: 0x60C201;
+    };
+    const S700: &[Group] = groups! {
+        I32 Read: 0x207002;
+        I32 Write: 0x35D501 0x606B00;
+        I16 Write: 0x607400;
+    };
+    const AKD: &[Group] = groups! {
+        I32 Read: 0x205000 0x20A000 0x60F400;
+        U16 Write: 0x20A400 0x60E000 0x60E100;
+        U16 Read: 0x20A500 0x603F00;
+        I16 Write: 0x347003 0x60B200;
+        I16 Read: 0x347004;
+        U32 Write: 0x607F00 0x608000 0x60FE01;
+        U8 Read: 0x60FE00;
+    };
     let own = if family == Family::S700 { S700 } else { AKD };
     let each = |(kind, access, all): &Group| {
         let (kind, access) = (*kind, *access);
@@ -240,35 +230,37 @@ impl Pdo {
     }
 }
 
+/// The object of a PDO, and the objects in it.
+type Content = (u16, &'static [u32]);
+
+macro_rules! pdos {
+    ($($pdo:literal: $($object:literal)*;)*) => {
+        &[$(($pdo, &[$($object),*])),*]
+    };
+}
+
 /// The PDOs that a drive family has from delivery. That of 1704h, and those of 1701h and 1B01h in an S700, are assumed.
 pub fn fixed_pdos(family: Family) -> Vec<Pdo> {
-    type Content = (u16, &'static [u32]);
-    const S700: &[Content] = &[
-        (0x1701, &[0x60C101, 0x604000]),
-        (0x1702, &[0x606B00, 0x604000]),
-        (0x1703, &[0x607400, 0x604000]),
-        (0x1704, &[0x607A00, 0x604000]),
-        (0x1B01, &[0x606300, 0x604100]),
-        (0x1B03, &[0x606400, 0x607700, 0x604100]),
-    ];
-    const AKD: &[Content] = &[
-        (0x1701, &[0x60C101, 0x604000]),
-        (0x1702, &[0x60FF00, 0x604000]),
-        (0x1720, &[0x604000, 0x60C101, 0x20A400, 0x60B200, 0x60FE01]),
-        (0x1721, &[0x60C101, 0x604000, 0x60B200]),
-        (0x1724, &[0x607A00, 0x604000, 0x60B200]),
-        (0x1725, &[0x604000, 0x607A00, 0x60FE01, 0x60B200, 0x347003, 0x607200]),
-        (0x1B01, &[0x606300, 0x604100]),
-        (
-            0x1B20,
-            &[
-                0x606300, 0x205000, 0x606C00, 0x60FD00, 0x60F400, 0x20A000, 0x604100, 0x607700, 0x20A500,
-                0x347004,
-            ],
-        ),
-        (0x1B24, &[0x606400, 0x604100]),
-        (0x1B26, &[0x604100, 0x606400, 0x607700, 0x60FD00, 0x347004, 0x60F400]),
-    ];
+    const S700: &[Content] = pdos! {
+        0x1701: 0x60C101 0x604000;
+        0x1702: 0x606B00 0x604000;
+        0x1703: 0x607400 0x604000;
+        0x1704: 0x607A00 0x604000;
+        0x1B01: 0x606300 0x604100;
+        0x1B03: 0x606400 0x607700 0x604100;
+    };
+    const AKD: &[Content] = pdos! {
+        0x1701: 0x60C101 0x604000;
+        0x1702: 0x60FF00 0x604000;
+        0x1720: 0x604000 0x60C101 0x20A400 0x60B200 0x60FE01;
+        0x1721: 0x60C101 0x604000 0x60B200;
+        0x1724: 0x607A00 0x604000 0x60B200;
+        0x1725: 0x604000 0x607A00 0x60FE01 0x60B200 0x347003 0x607200;
+        0x1B01: 0x606300 0x604100;
+        0x1B20: 0x606300 0x205000 0x606C00 0x60FD00 0x60F400 0x20A000 0x604100 0x607700 0x20A500 0x347004;
+        0x1B24: 0x606400 0x604100;
+        0x1B26: 0x604100 0x606400 0x607700 0x60FD00 0x347004 0x60F400;
+    };
     let known = dictionary(family);
     let bits =
         |object: Object| known.iter().find(|(own, ..)| *own == object).map_or(0, |row| 8 * row.1.bytes());

@@ -37,11 +37,11 @@ fn read_of(word: usize) -> [u8; 6] {
     [0, 1, word as u8, 0, 0, 0]
 }
 
-/// Two words of an EEPROM.
-fn sii(bench: &mut Bench, n: u16, at: usize) -> u32 {
-    assert_eq!(bench.write(n, address::SII_CONTROL, &read_of(at)), 1);
-    bench.wait(SiiSettings::default().busy_ns);
-    u32::from_le_bytes(bench.read(n, address::SII_DATA).unwrap())
+/// Two words of an EEPROM, as far as it answers.
+fn sii(bench: &mut Bench, n: u16, at: usize) -> Option<u32> {
+    (bench.write(n, address::SII_CONTROL, &read_of(at)) == 1).then_some(())?;
+    bench.wait(MS);
+    bench.read(n, address::SII_DATA).map(u32::from_le_bytes)
 }
 
 #[test]
@@ -49,12 +49,12 @@ fn slaves_are_at_their_positions_with_their_identities() {
     let mut bench = bench(&segment());
     assert_eq!(bench.segment.slaves(), 4);
     let identity = |bench: &mut Bench, n| [word::VENDOR, word::PRODUCT].map(|word| sii(bench, n, word));
-    assert_eq!(identity(&mut bench, 0), [0x6A, 0x0300_0700], "as the plan expects it");
-    assert_eq!(identity(&mut bench, 1), [2, 0x044C_2C52]);
-    assert_eq!(identity(&mut bench, 2), [0x6A, 77], "made another one than the plan expects");
-    assert_eq!(identity(&mut bench, 3), [2, 5]);
+    assert_eq!(identity(&mut bench, 0), [0x6A, 0x0300_0700].map(Some), "as the plan expects it");
+    assert_eq!(identity(&mut bench, 1), [2, 0x044C_2C52].map(Some));
+    assert_eq!(identity(&mut bench, 2), [0x6A, 77].map(Some), "made another one than the plan expects");
+    assert_eq!(identity(&mut bench, 3), [2, 5].map(Some));
     let mailbox = [0, 1, 2, 3].map(|n| sii(&mut bench, n, word::MAILBOXES));
-    assert_eq!(mailbox, [0x0010_1800, 0, 0x0400_1800, 0x0080_1000]);
+    assert_eq!(mailbox, [0x0010_1800, 0, 0x0400_1800, 0x0080_1000].map(Some));
     let features = [0, 1, 2, 3].map(|n| bench.read(n, address::FEATURES).map(u16::from_le_bytes));
     assert_eq!(features, [0x018C, 0x0180, 0x018C, 0x0180].map(Some));
     let drives = [0, 1, 2, 3].map(|n| bench.segment.slave(n).unwrap().drive().is_some());

@@ -1,6 +1,8 @@
 //! PDOs, objects, and the mailbox.
 
 use super::*;
+use crate::ethercat::settings::AKD;
+use crate::testing::hex;
 
 #[test]
 fn pdos_are_selected_in_pre_op_only_and_in_the_order_of_the_manual() {
@@ -123,18 +125,13 @@ fn the_master_maps_its_own_pdo_and_the_drive_obeys_it() {
 fn a_long_name_is_read_by_its_mailbox_whole() {
     let request = [10, 0, 0, 0, 0, 0x13, 0, 0x20, 0x40, 0x08, 0x10, 0, 0, 0, 0, 0];
     for (family, head, name) in [
-        (Family::Akd, &[50, 0, 0, 0, 0, 0x13, 0, 0x30, 0x41, 0x08, 0x10, 0, 40, 0, 0, 0], None),
-        (
-            Family::S700,
-            &[10, 0, 0, 0, 0, 0x13, 0, 0x30, 0x43, 0x08, 0x10, 0, b'S', b'7', b'0', b'0'],
-            Some(""),
-        ),
+        (Family::Akd, "3200 0000 00 13 0030 41 0810 00 28000000", AKD),
+        (Family::S700, "0A00 0000 00 13 0030 43 0810 00 53373030", ""),
     ] {
         let mut bench = Bench::of(family, |_| {});
         bench.enter(AlState::PreOp).unwrap();
         let mut reply = Vec::new();
         assert!(bench.drive.mailbox(&request, &mut reply));
-        assert_eq!(reply[..16], *head);
-        assert_eq!(&reply[16..], name.unwrap_or(bench.drive.settings.name()).as_bytes());
+        assert_eq!(reply, [&hex(head)[..], name.as_bytes()].concat());
     }
 }
