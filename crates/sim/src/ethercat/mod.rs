@@ -11,6 +11,7 @@
 //! | `chip` | registers and memory: access rights, and the effects of an access |
 //! | `manager` | SyncManagers: mailboxes and process data |
 //! | `clock` | the distributed clock: drift, compensation, SYNC0 |
+//! | `codec` | frames, registers, the SII, the mailbox, objects and CiA 402, as a slave reads them |
 //! | `sii` | the EEPROM, and images for it |
 //! | `firmware` | the EtherCAT state machine, the mailbox, the cycle of the application |
 //! | `simulation` | the segment of a plan |

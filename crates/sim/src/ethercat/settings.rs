@@ -59,8 +59,8 @@ pub struct DriveSettings {
     pub read_only: Vec<u16>,
     /// The delay from 6060h to the change of mode and of 6061h, ns. Default 0.
     pub mode_delay_ns: u64,
-    /// The drive comes up in OP and in operation, turning at so many rpm, as if another master had died with its watchdog
-    /// off. Default: it comes up in INIT and stands still.
+    /// The drive comes up in OP and in operation, turning at so many rpm, as if another master had died with its
+    /// watchdog off. Default: it comes up in INIT and stands still.
     pub running_rpm: Option<f64>,
     /// The hardware enable (STO) is wired and closed. Default true.
     pub hardware_enable: bool,

@@ -39,8 +39,8 @@ pub fn rises(before: u16, word: u16, bit: u16) -> bool {
     word & bit != 0 && before & bit == 0
 }
 
-/// The state to which a control word leads, if it is another one. Leaving a fault needs a rising edge; with that bit set
-/// a word is no other command.
+/// The state to which a control word leads, if it is another one. Leaving a fault needs a rising edge of bit 7; with
+/// that bit set a word is no other command.
 pub fn next(state: State, before: u16, word: u16) -> Option<State> {
     use State::{Fault, OperationEnabled, QuickStopActive, ReadyToSwitchOn, SwitchOnDisabled, SwitchedOn};
     let is_reset = word & control::FAULT_RESET != 0;

@@ -1,9 +1,8 @@
 use super::*;
 use crate::testing::hex;
 
-/// A row: what the master writes; the SDO that has to be carried out, if there is one: data to write, and the value that
-/// was read; the answer. A message is its length and its first content, both filled up to 16 bytes, like `13 20 40 ...`
-/// for the type and counter 13h, the service 2 and the command 40h; or in full.
+/// A row: what the master writes; the SDO that has to be carried out, if any, as data to write and the value read; the
+/// answer. A message is counter and type, service, command and so on, filled up to 16 bytes; or in full after `00`.
 type Row<'a> = (&'a str, Option<(Option<&'a str>, &'a str)>, &'a str);
 
 /// A message of a row.
