@@ -17,9 +17,10 @@ use std::fs::File;
 use std::process::{Command, ExitCode, Stdio};
 
 use fieldbeat::time::{MS, Ns, S, US};
-use fieldbeat::{CyclePlan, Granted, Guard};
+use fieldbeat::{CyclePlan, Guard};
 use fieldbeat_core::cycle::record::{CycleRecord, Record, SkippedRecord};
 use fieldbeat_core::net::Os;
+use fieldbeat_core::rt::Granted;
 use serde_json::json;
 use support::fleet::{Fleet, Side};
 use support::rig::{self, Calls, Pace, Rig};

@@ -28,10 +28,11 @@ mod support;
 use std::net::SocketAddrV4;
 use std::process::{Command, ExitCode, Stdio};
 
+use fieldbeat::Wait;
 use fieldbeat::sim::{FaultPlan, SimDrive};
 use fieldbeat::time::{MS, S, Time};
-use fieldbeat::{Granted, Wait};
 use fieldbeat_core::net::Os;
+use fieldbeat_core::rt::Granted;
 use fieldbeat_ethercat as ethercat;
 use fieldbeat_modbus as modbus;
 use fieldbeat_profibus as profibus;

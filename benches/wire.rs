@@ -38,7 +38,6 @@ use fieldbeat::bus::ethernet_ip::{EthernetIpPlan, Inputs, Outputs};
 use fieldbeat::bus::linudp::motion::{Acceleration, MotionCommand, Position, Velocity};
 use fieldbeat::bus::linudp::{ControlWord, ErrorCode, MainState, Native, StateVar, StatusWord, WarnWord};
 use fieldbeat::bus::modbus::ControlWord as UnidriveControl;
-use fieldbeat::bus::profibus::DATA_MAX;
 use fieldbeat::telemetry::Counters;
 use fieldbeat::time::{MS, Time, US};
 use fieldbeat_core::axis::acyclic::AcyclicEnds;
@@ -62,6 +61,7 @@ use fieldbeat_modbus::wire::{
     ADU_MAX, Header, Registers, RegistersBuffer, Request as ModbusRequest, Response as ModbusResponse,
 };
 use fieldbeat_profibus as profibus;
+use fieldbeat_profibus::DATA_MAX;
 use fieldbeat_profibus::line::Answer;
 use fieldbeat_profibus::wire::sap::Service;
 use fieldbeat_profibus::wire::telegram;

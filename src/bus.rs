@@ -1,7 +1,7 @@
 //! The buses of a plan: a module for each protocol, with the plan of its buses, its native process data, its services.
 
 #[doc(inline)]
-pub use fieldbeat_core::bus::{BusFacts, BusPlan, DriveFacts, Grid, OpenError, ReplyWithin};
+pub use fieldbeat_core::bus::{BusFacts, BusPlan, DriveFacts, OpenError, ReplyWithin};
 
 #[cfg(feature = "linudp")]
 pub mod linudp {
@@ -10,31 +10,52 @@ pub mod linudp {
     //! What follows is the reference of docs/ for its configuration.
     #![doc = include_str!("../docs/src/configuration-linudp.md")]
 
-    #[doc(inline)]
-    pub use fieldbeat_linudp::curve;
-    /// # Example
-    ///
-    /// ```
-    /// use fieldbeat::bus::linudp::motion::{Acceleration, MotionCommand, Position, Velocity};
-    ///
-    /// let ramp = Acceleration::from_mm_per_s2(1_000.0)?;
-    /// let velocity = Velocity::from_mm_per_s(200.0)?;
-    /// let command = MotionCommand::vai_go_to(Position::from_mm(120.5)?, velocity, ramp, ramp);
-    /// assert_eq!(command.header(1), 0x0101);
-    /// assert_eq!(command.parameters[..4], 1_205_000_i32.to_le_bytes());
-    /// # Ok::<(), fieldbeat::axis::RangeError>(())
-    /// ```
-    #[doc(inline)]
-    pub use fieldbeat_linudp::motion;
+    pub mod curve {
+        //! Time curves and encoder cams: what a drive stores of them, and its meaning.
+
+        #[doc(inline)]
+        pub use fieldbeat_linudp::curve::{Curve, CurveError, CurveKind, Dimension};
+    }
+
+    pub mod motion {
+        //! Motion commands by name and in units, for native process data and command tables.
+        //!
+        //! # Example
+        //!
+        //! ```
+        //! use fieldbeat::bus::linudp::motion::{Acceleration, MotionCommand, Position, Velocity};
+        //!
+        //! let ramp = Acceleration::from_mm_per_s2(1_000.0)?;
+        //! let velocity = Velocity::from_mm_per_s(200.0)?;
+        //! let command = MotionCommand::vai_go_to(Position::from_mm(120.5)?, velocity, ramp, ramp);
+        //! assert_eq!(command.header(1), 0x0101);
+        //! assert_eq!(command.parameters[..4], 1_205_000_i32.to_le_bytes());
+        //! # Ok::<(), fieldbeat::axis::RangeError>(())
+        //! ```
+
+        #[doc(inline)]
+        pub use fieldbeat_linudp::motion::{
+            Acceleration, AmplitudeScale, Bits, ControllerSet, Counts, Current, CurrentLimit, CurveId,
+            CurveTime, EntryId, Force, Jerk, Long, MotionCommand, Number, Offset, Position, Raw,
+            ScaledAcceleration, ScaledPosition, ScaledVelocity, Short, ShortCurrent, SignedAcceleration,
+            SignedVelocity, TimeScale, Upid, Velocity, WaitTime,
+        };
+    }
+
     #[doc(inline)]
     pub use fieldbeat_linudp::service;
-    #[doc(inline)]
-    pub use fieldbeat_linudp::table;
+
+    pub mod table {
+        //! The command table of a drive: motion commands that it runs by itself, one after the other.
+
+        #[doc(inline)]
+        pub use fieldbeat_linudp::table::{DeadEnd, Entry, EntryError, Table, dead_ends};
+    }
+
     #[doc(inline)]
     pub use fieldbeat_linudp::{
-        COUNTS_PER_MM, ControlWord, DRIVE_PORT, ErrorCode, LinUdpDrive, LinUdpPlan, MASTER_PORT, MainState,
-        MonitorPlan, MotionBlock, Native, NativeInputs, NativeOutput, PROTOCOL, ReplyTag, Serial, StateVar,
-        StatusWord, StreamCommand, WarnWord,
+        COUNTS_PER_MM, ControlWord, ErrorCode, LinUdpDrive, LinUdpPlan, MainState, MonitorPlan, MotionBlock,
+        Native, NativeInputs, NativeOutput, ReplyTag, Serial, StateVar, StatusWord, StreamCommand, WarnWord,
     };
 }
 
@@ -48,8 +69,7 @@ pub mod modbus {
     #[doc(inline)]
     pub use fieldbeat_modbus::{
         Addressing, Block, ControlWord, Functions, Map, Mapped, Mapping, ModbusPlan, Native, NativeInputs,
-        NativeOutput, PORT, PROTOCOL, Parameter, ParseError, Role, StatusWord, Trip, UnidriveDrive, Via,
-        WATCHDOG_MAX_NS, Watchdog, Width,
+        NativeOutput, Parameter, ParseError, Role, StatusWord, Trip, UnidriveDrive, Via, Watchdog, Width,
     };
 }
 
@@ -62,9 +82,9 @@ pub mod ethercat {
 
     #[doc(inline)]
     pub use fieldbeat_ethercat::{
-        Area, Device, Entry, EthercatPlan, Expected, Family, Identity, KOLLMORGEN, KollmorgenDrive, Layout,
-        MOST_AREAS, Mapping, Native, NativeInputs, NativeOutput, Object, Owner, PDO_MAX, PROTOCOL, Scaling,
-        Setpoint, SlavePlan, Start, TERMINAL_MAX, TerminalError, TerminalInputs, Terminals, Type, Watchdog,
+        Area, Device, Entry, EthercatPlan, Expected, Family, Identity, KollmorgenDrive, Layout, Mapping,
+        Native, NativeInputs, NativeOutput, Object, Owner, Scaling, Setpoint, SlavePlan, Start,
+        TerminalError, TerminalInputs, Terminals, Type, Watchdog,
     };
 }
 
@@ -82,8 +102,8 @@ pub mod ethernet_ip {
     #[doc(inline)]
     pub use fieldbeat_ethernet_ip::{
         Access, Condition, Delivery, EnableInput, EthernetIpPlan, Expected, Explicit, Homing, HomingMethod,
-        IO_PORT, Inputs, IoCode, Layout, Letters, MoonsDrive, Native, NativeInputs, NativeOutput,
-        NativeProfile, NoIoCode, Originator, Outputs, PORT, PROTOCOL, Version, Watchdog,
+        Inputs, IoCode, Layout, Letters, MoonsDrive, Native, NativeInputs, NativeOutput, NativeProfile,
+        NoIoCode, Originator, Outputs, Version, Watchdog,
     };
 }
 
@@ -96,8 +116,7 @@ pub mod profibus {
 
     #[doc(inline)]
     pub use fieldbeat_profibus::{
-        ADDRESS_MAX, Bits, CHANNEL, DATA_MAX, DriveProfile, LEAST_SLOT_BITS, LenzeDrive, NATIVE_WORDS,
-        Native, NativeInputs, NativeOutput, Numbers, PROTOCOL, ParameterPath, ProfibusPlan, RATES,
-        RETRIES_MAX, Rs485, SLOT_MARGIN_BITS, Scale, ShownWord, StatusBit, USUAL_MAX_TSDR, Watchdog,
+        Bits, DriveProfile, LenzeDrive, Native, NativeInputs, NativeOutput, Numbers, ParameterPath,
+        ProfibusPlan, RATES, Rs485, Scale, ShownWord, StatusBit, Watchdog,
     };
 }

@@ -7,7 +7,7 @@ pub mod config {
     #![doc = include_str!("../docs/src/configuration.md")]
 
     #[doc(inline)]
-    pub use fieldbeat_config::{ConfigError, ConfigErrors, Configuration, NotATime, duration, load, parse};
+    pub use fieldbeat_config::{ConfigError, ConfigErrors, Configuration, load, parse};
 
     pub mod linmot {
         //! What a LinMot stores besides its parameters, as files: time curves, and its command table.
@@ -22,8 +22,8 @@ pub mod doctor {
 
     #[doc(inline)]
     pub use fieldbeat_doctor::{
-        Area, Carried, Carries, CostOf, Counts, Effort, Factor, Finding, Glance, Host, Latency, Line,
-        Measured, Noise, Port, Progress, Report, Subject, Untried, Verdict, Wire, examine, glance, measure,
+        Area, Effort, Finding, Glance, Measured, Progress, Report, Subject, Untried, Verdict, examine,
+        glance, measure,
     };
 }
 
@@ -56,9 +56,7 @@ pub mod telemetry {
         //! The numbers of a running machine for Prometheus.
 
         #[doc(inline)]
-        pub use fieldbeat_record::metrics::{
-            Address, Endpoint, MetricsError, NotAnAddress, PATIENCE, Server, address,
-        };
+        pub use fieldbeat_record::metrics::{Address, Endpoint, MetricsError, NotAnAddress, Server, address};
     }
 
     pub mod recording {

@@ -172,21 +172,30 @@ pub mod axis {
     pub use fieldbeat_core::axis::Parameters;
     #[doc(inline)]
     pub use fieldbeat_core::axis::{
-        Abort, Acyclic, Answer, AxisError, AxisPlan, BegunBy, Call, CallError, CallTicket, Cannot, Command,
-        CommandId, DriveStatus, Emergency, Event, EventKind, Failure, Fault, Feedback, FollowingError,
-        FoundRunning, GroupCommand, GroupError, GroupRefused, Health, HeldBy, InPosition, Jog, Lacks, Limits,
-        Link, Listed, Load, MonitorChannel, Move, NativeOwner, NotationError, Observer, Outcome, OwnerLost,
-        ParameterError, ParameterTicket, PlanFault, PostError, Profile, Pulse, RangeError, Request, Row,
-        Samples, Scalar, Series, Shown, State, StopCause, StopHow, StopPlan, StopThen, StopTimeout, Target,
-        Underrun, Unit, Units,
+        Abort, Acyclic, AxisError, AxisPlan, BegunBy, CallError, Command, CommandId, DriveStatus, Emergency,
+        Event, EventKind, Failure, Fault, Feedback, FollowingError, FoundRunning, GroupCommand, GroupError,
+        GroupRefused, Health, HeldBy, InPosition, Jog, Limits, Link, Load, Move, NativeOwner, Observer,
+        Outcome, OwnerLost, ParameterError, ParameterTicket, PlanFault, Profile, RangeError, Row, Samples,
+        Scalar, Shown, State, StopCause, StopHow, StopPlan, StopThen, StopTimeout, Target, Underrun, Unit,
+        Units,
     };
+}
+
+pub mod time {
+    //! Instants of CLOCK_MONOTONIC in ns, and lengths of time.
+
+    #[doc(inline)]
+    pub use fieldbeat_core::time::{MS, Ns, S, Time, US};
 }
 
 pub mod telemetry {
     //! What the loop reports: histograms, causes of late cycles, how the axes moved.
 
     #[cfg(feature = "files")]
-    pub use crate::files::telemetry::{Summary, blackbox, metrics, recording, report, summary};
+    #[doc(no_inline)]
+    pub use crate::files::telemetry::Summary;
+    #[cfg(feature = "files")]
+    pub use crate::files::telemetry::{blackbox, metrics, recording, report, summary};
     #[doc(inline)]
     pub use fieldbeat_telemetry::{
         AtEnd, AxisMotion, Band, BusClock, Cause, Causes, Condition, Counters, DeviceEnd, DriveEmergency,
@@ -199,8 +208,6 @@ pub mod telemetry {
 
 #[cfg(feature = "files")]
 pub use self::files::{config, doctor, replay};
-#[doc(inline)]
-pub use fieldbeat_core::time;
 
 #[doc(no_inline)]
 pub use self::axis::{Axis, Command, Event, EventKind, Feedback, Group, Profile, Row};
@@ -241,7 +248,7 @@ pub use fieldbeat_core::cycle::{
     CyclePlan, GroupPlan, Guard, OnCost, Overrun, PlanErrors, Shares, Wait, WatchAfter,
 };
 #[doc(inline)]
-pub use fieldbeat_core::rt::{Granted, Memory, Realtime, RealtimeError};
+pub use fieldbeat_core::rt::{Memory, Realtime, RealtimeError};
 /// # Example
 ///
 /// ```

@@ -6,57 +6,6 @@ pub use fieldbeat_sim::{
     World, WorldOptions,
 };
 
-pub mod ethercat {
-    //! Simulated slaves of an EtherCAT segment.
-
-    #[doc(inline)]
-    pub use fieldbeat_sim::ethercat::{
-        AlState, Application, Behind, ClockKind, Coupler, Dialect, DriveSettings, EthercatSegment,
-        EthercatSim, Identity, Left, MailboxSettings, Misuse, Model, MotorSettings, SegmentSettings,
-        SiiContent, SiiSettings, SlaveSettings,
-    };
-}
-
-pub mod ethernet_ip {
-    //! Simulated MOONS' drives.
-
-    #[doc(inline)]
-    pub use fieldbeat_sim::ethernet_ip::{
-        ClockSettings, Configuration, ConfigurationError, Edges, FirmwareSettings, HomeSwitch,
-        IdentitySettings, Idle, Ignored, Kind, MoonsDrives, MoonsMotorSettings, MoonsSettings, MoonsSim,
-        NetworkSettings, Ownership, Refused, ShortRpi, Wired,
-    };
-}
-
-pub mod linudp {
-    //! Simulated LinMot drives.
-
-    #[doc(inline)]
-    pub use fieldbeat_sim::linudp::{
-        FlashMode, Ignored, LinMotSettings, LinMotSim, LinMots, MasterFilter, UnknownCommands,
-    };
-}
-
-pub mod modbus {
-    //! Simulated Unidrives.
-
-    #[doc(inline)]
-    pub use fieldbeat_sim::modbus::{
-        Interface, MotorSettings, ReadWrite, Start, UnidriveSettings, UnidriveSim, Unidrives,
-    };
-}
-
-pub mod profibus {
-    //! Simulated Lenze drives on PROFIBUS DP.
-
-    #[doc(inline)]
-    pub use fieldbeat_sim::profibus::{
-        AcyclicSettings, Broken, Channel, DpSettings, DpState, Events, ForeignMaster, ForeignSettings,
-        InputWord, LenzeMotorSettings, LenzeSettings, LenzeSim, LinkSettings, Misuse, Noise, NoiseSettings,
-        OutputWord, PowerSettings, ProfibusSegment, Safe, UserPrm,
-    };
-}
-
 pub mod server {
     //! Simulated drives behind real sockets.
 

@@ -9,23 +9,25 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-use fieldbeat::axis::{CallTicket, Command, CommandId, EventKind, Jog, Link, StopCause};
+use fieldbeat::axis::{Command, CommandId, EventKind, Jog, Link, StopCause};
 use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::ethercat::{Entry, EthercatPlan, Family, KollmorgenDrive, Object, Type, Watchdog};
-use fieldbeat::bus::ethernet_ip::{EthernetIpPlan, IO_PORT, MoonsDrive};
+use fieldbeat::bus::ethernet_ip::{EthernetIpPlan, MoonsDrive};
 use fieldbeat::bus::profibus::{LenzeDrive, Numbers, ParameterPath, ProfibusPlan};
-use fieldbeat::sim::ethercat::EthercatSim;
-use fieldbeat::sim::ethernet_ip::{ClockSettings, MoonsSettings, MoonsSim};
-use fieldbeat::sim::profibus::{ForeignSettings, NoiseSettings, ProfibusSegment};
 use fieldbeat::sim::{
     Carrier, FaultPlan, SerialWire, SimDrive, SimSegment, SimSerial, Simulated, WorldOptions,
 };
 use fieldbeat::time::{MS, S, Time};
 use fieldbeat::{CyclePlan, Flow, Master, Overrun, Plan, Setup, Simulation};
+use fieldbeat_core::axis::CallTicket;
 use fieldbeat_core::axis::acyclic::{Call, Notation};
 use fieldbeat_core::cycle::record::Record;
 use fieldbeat_core::inputs::recording::LogReader;
 use fieldbeat_ethercat::object::Objects;
+use fieldbeat_ethernet_ip::IO_PORT;
+use fieldbeat_sim::ethercat::EthercatSim;
+use fieldbeat_sim::ethernet_ip::{ClockSettings, MoonsSettings, MoonsSim};
+use fieldbeat_sim::profibus::{ForeignSettings, NoiseSettings, ProfibusSegment};
 use support::adventures::{Calls, DRIVES, Ends, VICTIM, drives, row, to};
 use support::counting::{Counting, allocations, watch};
 use support::{LONG, Machine};

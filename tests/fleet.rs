@@ -19,17 +19,18 @@ use fieldbeat::axis::{
     Command, Event, EventKind, Feedback, FoundRunning, Jog, Limits, Link, Move, Outcome, Profile, Row,
     StopCause, StopHow, StopPlan, StopThen, Target, Underrun,
 };
+use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::ethernet_ip::{EthernetIpPlan, MoonsDrive};
 use fieldbeat::bus::linudp::{LinUdpDrive, LinUdpPlan, MonitorPlan, ReplyTag, StreamCommand};
 use fieldbeat::bus::profibus::{LenzeDrive, ProfibusPlan};
-use fieldbeat::bus::{BusPlan, Grid};
-use fieldbeat::sim::ethernet_ip::{ClockSettings, MoonsSettings, MoonsSim};
-use fieldbeat::sim::linudp::{LinMotSettings, LinMots};
-use fieldbeat::sim::profibus::ProfibusSegment;
 use fieldbeat::sim::{Carrier, FaultPlan, SimBus, SimDrive, Simulated, WorldOptions};
 use fieldbeat::telemetry::{Counters, Numbers, Status};
 use fieldbeat::time::{MS, S, Time, US};
 use fieldbeat::{CyclePlan, Flow, Master, Overrun, Plan, Simulation};
+use fieldbeat_core::bus::Grid;
+use fieldbeat_sim::ethernet_ip::{ClockSettings, MoonsSettings, MoonsSim};
+use fieldbeat_sim::linudp::{LinMotSettings, LinMots};
+use fieldbeat_sim::profibus::ProfibusSegment;
 use nix::time::{ClockId, clock_gettime};
 
 /// 256 LinUDP drives on one socket need a few milliseconds (a send on loopback takes 3.5 to 5 us).

@@ -19,9 +19,6 @@ use fieldbeat::bus::ethercat::{Area, Device, EthercatPlan, Family, KollmorgenDri
 use fieldbeat::bus::ethernet_ip::{EthernetIpPlan, MoonsDrive};
 use fieldbeat::bus::profibus::{LenzeDrive, ProfibusPlan};
 use fieldbeat::sim::SimPlan;
-use fieldbeat::sim::ethercat::{Coupler, EthercatSegment};
-use fieldbeat::sim::ethernet_ip::MoonsDrives;
-use fieldbeat::sim::profibus::ProfibusSegment;
 use fieldbeat::sim::server::{ServerOptions, SimServer};
 use fieldbeat::telemetry::{Measured, Numbers};
 use fieldbeat::time::{MS, Time};
@@ -37,6 +34,9 @@ use fieldbeat_core::net::{Carriers, Handshake, HandshakeState, Os, StreamPeer, S
 use fieldbeat_core::rt::{Clock, MonotonicClock, PollSet, Regions, Wires};
 use fieldbeat_ethercat::object::Objects;
 use fieldbeat_master::{Assembly, assemble};
+use fieldbeat_sim::ethercat::{Coupler, EthercatSegment};
+use fieldbeat_sim::ethernet_ip::MoonsDrives;
+use fieldbeat_sim::profibus::ProfibusSegment;
 use fieldbeat_telemetry::TelemetryThread;
 use fieldbeat_telemetry::tap::Taps;
 use libc::{c_int, c_long, sock_filter};

@@ -3,10 +3,12 @@
 use std::collections::VecDeque;
 use std::time::Duration;
 
-use fieldbeat::axis::{Acyclic, CallTicket};
+use fieldbeat::Wait;
+use fieldbeat::axis::Acyclic;
 use fieldbeat::time::MS;
-use fieldbeat::{Granted, Wait};
+use fieldbeat_core::axis::CallTicket;
 use fieldbeat_core::net::Os;
+use fieldbeat_core::rt::Granted;
 use fieldbeat_linudp::upid;
 use fieldbeat_linudp::wire::RtcCommand;
 use serde_json::json;

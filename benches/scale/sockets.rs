@@ -4,10 +4,11 @@ use std::collections::BTreeMap;
 use std::fmt;
 use std::sync::Arc;
 
+use fieldbeat::Wait;
 use fieldbeat::telemetry::{DriveEnd, Numbers};
 use fieldbeat::time::{MS, Ns, US};
-use fieldbeat::{Granted, Wait};
 use fieldbeat_core::cycle::record::{DriveRecord, Record};
+use fieldbeat_core::rt::Granted;
 use fieldbeat_core::rt::Usage;
 use fieldbeat_ethernet_ip as ethernet_ip;
 use fieldbeat_linudp as linudp;

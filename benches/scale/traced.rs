@@ -4,8 +4,9 @@ use std::io;
 use std::process::{Command, Stdio};
 use std::sync::Arc;
 
+use fieldbeat::Wait;
 use fieldbeat::time::MS;
-use fieldbeat::{Granted, Wait};
+use fieldbeat_core::rt::Granted;
 
 use super::counted::{DRIVES_OF_64, TERMINALS_OF_64};
 use super::sockets::{MOONS_DUEL, TOGETHER};

@@ -7,15 +7,16 @@ use std::net::{SocketAddr, SocketAddrV4, TcpStream, UdpSocket};
 use std::os::fd::{AsFd, BorrowedFd, RawFd};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
+use fieldbeat::Wait;
 use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::linudp::ControlWord;
 use fieldbeat::bus::modbus::{ControlWord as UnidriveControl, StatusWord, UnidriveDrive};
 use fieldbeat::telemetry::Numbers;
 use fieldbeat::time::{S, Time};
-use fieldbeat::{Granted, Wait};
 use fieldbeat_core::cycle::record::{DriveRecord, Record, Stage};
 use fieldbeat_core::net::frames::Unsent;
 use fieldbeat_core::net::{Carriers, Datagrams, Frames, Os, UdpOptions};
+use fieldbeat_core::rt::Granted;
 use fieldbeat_core::rt::{Clock, MonotonicClock, Regions};
 use fieldbeat_ethercat::wire::frame::{Command, FRAME_MAX, datagrams};
 use fieldbeat_linudp::wire::{REQUEST_MAX, Request, ResponseDef, ResponseView};

@@ -10,14 +10,15 @@ use fieldbeat::axis::Limits;
 use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::ethercat::EthercatPlan;
 use fieldbeat::bus::ethernet_ip::EthernetIpPlan;
-use fieldbeat::bus::linudp::{DRIVE_PORT, LinUdpDrive, LinUdpPlan, MASTER_PORT};
+use fieldbeat::bus::linudp::{LinUdpDrive, LinUdpPlan};
 use fieldbeat::bus::modbus::ModbusPlan;
 use fieldbeat::bus::profibus::ProfibusPlan;
-use fieldbeat::sim::ethernet_ip::MoonsDrives;
-use fieldbeat::sim::linudp::LinMots;
-use fieldbeat::sim::modbus::Unidrives;
-use fieldbeat::sim::profibus::ProfibusSegment;
 use fieldbeat::sim::{SimBus, Simulated};
+use fieldbeat_linudp::{DRIVE_PORT, MASTER_PORT};
+use fieldbeat_sim::ethernet_ip::MoonsDrives;
+use fieldbeat_sim::linudp::LinMots;
+use fieldbeat_sim::modbus::Unidrives;
+use fieldbeat_sim::profibus::ProfibusSegment;
 
 use super::{lenze, moons, rig, segment, unidrive};
 

@@ -5,8 +5,8 @@ use std::io::{self, BufRead, BufReader, Read, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdout, Command, Stdio};
 
-use fieldbeat::Granted;
 use fieldbeat::time::Time;
+use fieldbeat_core::rt::Granted;
 use fieldbeat_modbus::parameter::DRIVE_UNIT;
 
 use super::fleet::{Fleet, Side};

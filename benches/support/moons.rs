@@ -5,10 +5,11 @@ use std::net::{Ipv4Addr, SocketAddrV4};
 use std::time::Duration;
 
 use fieldbeat::axis::Limits;
-use fieldbeat::bus::ethernet_ip::{IO_PORT, MoonsDrive, command, status};
+use fieldbeat::bus::ethernet_ip::{MoonsDrive, command, status};
 use fieldbeat::sim::SimDrive;
-use fieldbeat::sim::ethernet_ip::{MoonsSettings, MoonsSim};
 use fieldbeat_core::net::{HandshakeState, StreamPeer};
+use fieldbeat_ethernet_ip::IO_PORT;
+use fieldbeat_sim::ethernet_ip::{MoonsSettings, MoonsSim};
 
 use super::rig::{self, Scene};
 

@@ -5,17 +5,17 @@ use std::net::SocketAddrV4;
 use std::os::fd::RawFd;
 use std::sync::{Mutex, PoisonError};
 
-use fieldbeat::bus::ethernet_ip::{self, IO_PORT};
 use fieldbeat::bus::linudp::{ControlWord, MainState, StateVar, StatusWord};
 use fieldbeat::sim::SimDrive;
-use fieldbeat::sim::modbus::UnidriveSim;
 use fieldbeat::time::Time;
 use fieldbeat_core::net::{
     Broken, Carriers, Datagrams, HandshakeState, LinkNotes, Outbox, Received, Sent, StreamPeer, Streams,
     UdpOptions,
 };
 use fieldbeat_core::rt::{MonotonicClock, Regions};
+use fieldbeat_ethernet_ip::{IO_PORT, PORT};
 use fieldbeat_linudp::wire::{RESPONSE_MAX, Request, RequestDef, Response, ResponseDef, RtcBlock};
+use fieldbeat_sim::modbus::UnidriveSim;
 
 use super::callgrind::resumed;
 use super::moons;
@@ -35,7 +35,7 @@ impl Carriers for NullNet {
 
     fn streams(&self, peers: Vec<StreamPeer>) -> io::Result<Box<dyn Streams>> {
         let count = peers.len();
-        if peers.iter().all(|peer| peer.address.port() == ethernet_ip::PORT) {
+        if peers.iter().all(|peer| peer.address.port() == PORT) {
             let from = |peer: &StreamPeer| SocketAddrV4::new(*peer.address.ip(), IO_PORT);
             let drive = |peer| Ok((from(&peer), moons::Canned::new(moons::open(peer)?)));
             *OPENED.lock().unwrap_or_else(PoisonError::into_inner) =

@@ -12,13 +12,13 @@ use fieldbeat::bus::ethercat::{
     Area, Device, EthercatPlan, Expected, Family, KollmorgenDrive, Owner, SlavePlan, Watchdog,
 };
 use fieldbeat::sim::SimSegment;
-use fieldbeat::sim::ethercat::{EthercatSegment, EthercatSim, Identity, Model, SlaveSettings};
 use fieldbeat::time::{MS, Time};
 use fieldbeat_core::bus::cia402::StatusWord;
 use fieldbeat_core::net::frames::{MAC, Unsent};
 use fieldbeat_core::net::{Carriers, Datagrams, Frames, UdpOptions};
 use fieldbeat_core::rt::{MonotonicClock, Regions};
 use fieldbeat_ethercat::wire::frame::{Command, FRAME_MAX, Place, datagrams};
+use fieldbeat_sim::ethercat::{EthercatSegment, EthercatSim, Identity, Model, SlaveSettings};
 
 use super::rig::{self, Scene};
 

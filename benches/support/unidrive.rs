@@ -8,11 +8,11 @@ use fieldbeat::axis::Limits;
 use fieldbeat::bus::modbus::{
     Block, ControlWord, Mapping, Role, StatusWord, UnidriveDrive, Via, Watchdog, Width,
 };
-use fieldbeat::sim::modbus::UnidriveSettings;
 use fieldbeat::time::{MS, S};
 use fieldbeat_modbus::parameter::DRIVE_UNIT;
 pub use fieldbeat_modbus::wire::ADU_MAX;
 use fieldbeat_modbus::wire::{Header, RegistersBuffer, Request, Response, function};
+use fieldbeat_sim::modbus::UnidriveSettings;
 
 use super::rig::{self, Scene};
 

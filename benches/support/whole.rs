@@ -8,7 +8,8 @@ use std::fs;
 use std::time::Duration;
 
 use fieldbeat::time::MS;
-use fieldbeat::{Granted, Master, Plan, Realtime, Wait};
+use fieldbeat::{Master, Plan, Realtime, Wait};
+use fieldbeat_core::rt::Granted;
 
 use super::bare;
 use super::fleet::{Fleet, Side};

@@ -15,10 +15,10 @@ use std::thread::sleep;
 use std::time::Duration;
 
 use fieldbeat::axis::{
-    Acyclic, Axis, CallError, CallTicket, Command, CommandId, EventKind, Link, Move, Outcome, Profile, Row,
-    Target,
+    Acyclic, Axis, CallError, Command, CommandId, EventKind, Link, Move, Outcome, Profile, Row, Target,
 };
 use fieldbeat::sim::server::{ServerOptions, SimServer};
+use fieldbeat_core::axis::CallTicket;
 use fieldbeat_linudp::upid;
 use fieldbeat_linudp::wire::RtcCommand;
 

@@ -32,8 +32,8 @@ macro_rules! forward_bus_plan {
             fn name(&self) -> &str;
             fn axes(&self) -> Vec<&fieldbeat::axis::AxisPlan>;
             fn faults(&self, period_ns: u64) -> Vec<(usize, fieldbeat::axis::PlanFault)>;
-            fn facts(&self, grid: fieldbeat::bus::Grid) -> fieldbeat_core::bus::BusFacts;
-            fn describe(&self, grid: fieldbeat::bus::Grid) -> Vec<String>;
+            fn facts(&self, grid: fieldbeat_core::bus::Grid) -> fieldbeat_core::bus::BusFacts;
+            fn describe(&self, grid: fieldbeat_core::bus::Grid) -> Vec<String>;
             fn native_layout(&self, index: usize) -> fieldbeat_core::bus::native::NativeLayout;
             fn reaching(&self, index: usize) -> Option<Box<dyn fieldbeat::bus::BusPlan>>;
         }

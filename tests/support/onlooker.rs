@@ -3,7 +3,8 @@
 use std::net::{SocketAddrV4, UdpSocket};
 use std::time::Duration;
 
-use fieldbeat::bus::linudp::{MASTER_PORT, MainState};
+use fieldbeat::bus::linudp::MainState;
+use fieldbeat_linudp::MASTER_PORT;
 use fieldbeat_linudp::wire::{REQUEST_MAX, Request, Response, ResponseDef};
 
 use super::{LONG, Machine, until};

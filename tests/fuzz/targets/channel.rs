@@ -10,20 +10,19 @@ use std::net::SocketAddrV4;
 use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;
 
-use fieldbeat::axis::{
-    Answer, AxisPlan, Call, CallError, CallTicket, Command, Health, Link, NativeOwner, PostError, Units,
-};
+use fieldbeat::axis::{AxisPlan, CallError, Command, Health, Link, NativeOwner, Units};
 use fieldbeat::bus::linudp::{
     COUNTS_PER_MM, LinUdpDrive, LinUdpPlan, MonitorPlan, Native, NativeOutput, ReplyTag,
 };
-use fieldbeat::sim::linudp::{FlashMode, LinMotSettings};
 use fieldbeat::sim::{FaultPlan, SimDrive, WorldOptions};
 use fieldbeat::time::{MS, Time, US};
 use fieldbeat::{CyclePlan, Master, Overrun, Plan, Simulation};
 use fieldbeat_core::axis::acyclic::Carrier;
+use fieldbeat_core::axis::{Answer, Call, CallTicket, PostError};
 use fieldbeat_linudp::rtc::UNACKNOWLEDGED;
 use fieldbeat_linudp::upid::{Upid, call};
 use fieldbeat_linudp::wire::{Request, Response, RtcBlock, RtcCommand, RtcStatus};
+use fieldbeat_sim::linudp::{FlashMode, LinMotSettings};
 
 use super::input::Input;
 use super::machine::hostile::HostileBus;

@@ -3,12 +3,13 @@
 use std::fmt::Write;
 
 use fieldbeat::axis::{Command, Move, Row, Target};
-use fieldbeat::config::{ConfigErrors, Configuration, duration, parse};
+use fieldbeat::config::{ConfigErrors, Configuration, parse};
 use fieldbeat::sim::WorldOptions;
 use fieldbeat::time::US;
 use fieldbeat::{Flow, Master, Wait};
 use fieldbeat_config::demo::demo_plan;
 use fieldbeat_config::describe;
+use fieldbeat_config::duration;
 use fieldbeat_core::cycle::bound::stop_bound;
 
 use super::input::Input;

@@ -21,7 +21,6 @@ use fieldbeat::bus::ethercat::{
     Area, Device, EthercatPlan, Family, KollmorgenDrive, SlavePlan, Terminals, Watchdog,
 };
 use fieldbeat::sim::SimSegment;
-use fieldbeat::sim::ethercat::{EthercatSegment, EthercatSim, SiiSettings, SlaveSettings};
 use fieldbeat::time::{MS, Time, US};
 use fieldbeat_core::bus::cia402::ControlWord;
 use fieldbeat_core::bus::desired::{Desired, Motion, Power};
@@ -31,6 +30,7 @@ use fieldbeat_core::net::{Carriers, Datagrams, Frames, UdpOptions};
 use fieldbeat_core::rt::Regions;
 use fieldbeat_ethercat::image::{Read, returned};
 use fieldbeat_ethercat::wire::frame::{Command as DatagramCommand, Datagram, datagrams};
+use fieldbeat_sim::ethercat::{EthercatSegment, EthercatSim, SiiSettings, SlaveSettings};
 
 use super::commanded::Commanded;
 use super::commands::command;

@@ -1,10 +1,12 @@
 //! Files of curves and command tables: no text makes their readers panic, and whatever is read, or came from a drive,
 //! is the same when it has been written and read again.
 
-use fieldbeat::bus::linudp::curve::{Curve, INFO_SIZE};
+use fieldbeat::bus::linudp::curve::Curve;
 use fieldbeat::bus::linudp::motion::EntryId;
-use fieldbeat::bus::linudp::table::{ENTRY_SIZE, Entry, Table};
+use fieldbeat::bus::linudp::table::{Entry, Table};
 use fieldbeat::config::linmot::{curve as curve_file, table as table_file};
+use fieldbeat_linudp::curve::INFO_SIZE;
+use fieldbeat_linudp::table::ENTRY_SIZE;
 
 pub fn files(data: &[u8]) {
     let Some((kind, bytes)) = data.split_first() else { return };

@@ -16,7 +16,6 @@ use fieldbeat::axis::{Link, NativeOwner};
 use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::modbus::{ControlWord, ModbusPlan, UnidriveDrive, Via};
 use fieldbeat::sim::SimDrive;
-use fieldbeat::sim::modbus::{ReadWrite, UnidriveSettings, UnidriveSim};
 use fieldbeat::time::{MS, Time, US};
 use fieldbeat_core::bus::desired::{Desired, Motion, Power};
 use fieldbeat_core::bus::{Bus, Ends, Exchange, Opened, Slot};
@@ -27,6 +26,7 @@ use fieldbeat_core::rt::Regions;
 use fieldbeat_modbus::counters::Own;
 use fieldbeat_modbus::wire::function::READ_WRITE;
 use fieldbeat_modbus::wire::{REGISTERS_MAX, Request, frame};
+use fieldbeat_sim::modbus::{ReadWrite, UnidriveSettings, UnidriveSim};
 
 use super::commanded::Commanded;
 use super::commands::command;

@@ -3,13 +3,14 @@
 
 use std::net::{Ipv4Addr, SocketAddrV4};
 
-use fieldbeat::bus::linudp::{DRIVE_PORT, MASTER_PORT, StateVar, WarnWord};
+use fieldbeat::bus::linudp::{StateVar, WarnWord};
 use fieldbeat::sim::SimDrive;
-use fieldbeat::sim::linudp::{LinMotSettings, LinMotSim};
 use fieldbeat::time::Time;
 use fieldbeat_linudp::wire::{
     REQUEST_MAX, RESPONSE_MAX, Request, RequestDef, Response, ResponseView, RtcBlock,
 };
+use fieldbeat_linudp::{DRIVE_PORT, MASTER_PORT};
+use fieldbeat_sim::linudp::{LinMotSettings, LinMotSim};
 
 pub fn telegram(data: &[u8]) {
     request(data);

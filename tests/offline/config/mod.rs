@@ -336,7 +336,7 @@ fn defaults_are_what_the_documentation_says() {
 fn a_file_that_says_little_is_a_plan_built_in_code() {
     use fieldbeat::bus::ethernet_ip::{EthernetIpPlan, MoonsDrive};
     use fieldbeat::bus::modbus::UnidriveDrive;
-    use fieldbeat::sim::modbus::UnidriveSettings;
+    use fieldbeat_sim::modbus::UnidriveSettings;
     let usual = UnidriveDrive::new("u", [127, 0, 0, 21].into());
     let mut settings = UnidriveSettings::of(&usual);
     let faults = &mut settings.faults;

@@ -1,10 +1,10 @@
 //! What only a PROFIBUS wire has: times in its bits, parametrisation, words of the process data, turns on the grid.
 
 use fieldbeat::axis::Unit;
-use fieldbeat::bus::Grid;
 use fieldbeat::bus::profibus::{LenzeDrive, ProfibusPlan, RATES};
 use fieldbeat::time::{MS, S, US};
 use fieldbeat::{CyclePlan, Plan};
+use fieldbeat_core::bus::Grid;
 use fieldbeat_core::cycle::bound::stop_bound;
 
 use super::{machine, read};

@@ -2,7 +2,8 @@
 
 use std::time::Duration;
 
-use fieldbeat::axis::{Answer, Call, CallError, CallTicket, Link, PostError};
+use fieldbeat::axis::{CallError, Link};
+use fieldbeat_core::axis::{Answer, Call, CallTicket, PostError};
 
 use crate::conformance::machine::Machine;
 use crate::conformance::subject::Subject;

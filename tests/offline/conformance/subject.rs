@@ -2,10 +2,11 @@
 
 use std::io::Write;
 
-use fieldbeat::axis::{AxisPlan, Call};
+use fieldbeat::axis::AxisPlan;
 use fieldbeat::bus::BusPlan;
 use fieldbeat::sim::{SimSegment, SimSerial, Simulated};
 use fieldbeat::{Axis, Time};
+use fieldbeat_core::axis::Call;
 
 /// One protocol, in one way of configuring it.
 ///

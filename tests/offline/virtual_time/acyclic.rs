@@ -2,10 +2,11 @@
 
 use std::collections::HashMap;
 
-use fieldbeat::axis::{Call, CallError, CallTicket, Command, EventKind, Health, Link, NativeOwner};
+use fieldbeat::axis::{CallError, Command, EventKind, Health, Link, NativeOwner};
 use fieldbeat::bus::linudp::{MonitorPlan, Native, NativeOutput};
 use fieldbeat::sim::FaultPlan;
 use fieldbeat::time::MS;
+use fieldbeat_core::axis::{Call, CallTicket};
 use fieldbeat_linudp::upid::{Upid, call};
 use fieldbeat_linudp::wire::{Refusal, RtcBlock, RtcCommand};
 

@@ -16,13 +16,13 @@ use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::ethercat::{EthercatPlan, Family, Object, Start, Type};
 use fieldbeat::bus::ethernet_ip::EthernetIpPlan;
 use fieldbeat::config::{Configuration, load};
-use fieldbeat::sim::ethercat::EthercatSegment;
-use fieldbeat::sim::ethernet_ip::{MoonsSettings, MoonsSim};
-use fieldbeat::sim::linudp::LinMotSim;
 use fieldbeat::sim::{FaultPlan, SimDrive, SimPlan, Simulated, WorldOptions};
 use fieldbeat::{Master, Plan, Simulation};
 use fieldbeat_core::bus::facts::of_drives;
 use fieldbeat_linudp::wire::Response;
+use fieldbeat_sim::ethercat::EthercatSegment;
+use fieldbeat_sim::ethernet_ip::{MoonsSettings, MoonsSim};
+use fieldbeat_sim::linudp::LinMotSim;
 
 use crate::virtual_time::campaign::{self, Judged};
 use crate::virtual_time::kollmorgen::{self, LINE, Machine};

@@ -5,8 +5,9 @@ use std::cell::RefCell;
 use std::time::Duration;
 
 use fieldbeat::Simulation;
-use fieldbeat::axis::{Acyclic, Answer, Call, CallError, CallTicket, Series};
+use fieldbeat::axis::{Acyclic, CallError};
 use fieldbeat_core::axis::acyclic::{Carrier, Condition};
+use fieldbeat_core::axis::{Answer, Call, CallTicket, Series};
 
 use crate::virtual_time::support::Bench;
 

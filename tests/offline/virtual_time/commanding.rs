@@ -8,12 +8,12 @@ use std::time::Duration;
 
 use fieldbeat::Simulation;
 use fieldbeat::axis::{
-    Acyclic, Call, CallError, CallTicket, Command, CommandId, EventKind, Failure, Link, NativeOwner, Outcome,
-    ParameterError, PostError,
+    Acyclic, CallError, Command, CommandId, EventKind, Failure, Link, NativeOwner, Outcome, ParameterError,
 };
 use fieldbeat::bus::linudp::MainState;
 use fieldbeat::sim::FaultPlan;
 use fieldbeat::time::{MS, S};
+use fieldbeat_core::axis::{Call, CallTicket, PostError};
 use fieldbeat_linudp::wire::{RtcBlock, RtcCommand};
 
 use crate::virtual_time::carrier::LIMIT;

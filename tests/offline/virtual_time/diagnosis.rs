@@ -5,14 +5,14 @@ use std::sync::{Arc, Mutex};
 
 use fieldbeat::axis::Link;
 use fieldbeat::bus::BusPlan;
-use fieldbeat::sim::ethernet_ip::{MoonsSettings, MoonsSim};
-use fieldbeat::sim::linudp::LinMotSim;
-use fieldbeat::sim::modbus::{UnidriveSettings, UnidriveSim};
-use fieldbeat::sim::profibus::{LenzeSettings, LenzeSim, ProfibusSegment};
 use fieldbeat::sim::{FaultPlan, SerialWire, SimDrive, SimSerial, Simulated, WorldOptions};
 use fieldbeat::time::{MS, S, Time};
 use fieldbeat::{CyclePlan, Master, Plan, Simulation};
 use fieldbeat_core::bus::diagnosis::Row;
+use fieldbeat_sim::ethernet_ip::{MoonsSettings, MoonsSim};
+use fieldbeat_sim::linudp::LinMotSim;
+use fieldbeat_sim::modbus::{UnidriveSettings, UnidriveSim};
+use fieldbeat_sim::profibus::{LenzeSettings, LenzeSim, ProfibusSegment};
 
 use super::{kollmorgen, lenze, moons, support};
 use crate::between::{Between, Message, Sender, Shared};

@@ -1,7 +1,7 @@
 //! How far and how fast: limits on submission and in the loop, jogs on their leash, axes that turn on and on.
 
 use fieldbeat::axis::{Command, Failure, Jog, Move, Profile, Row, Target, Unit, Units};
-use fieldbeat::sim::linudp::LinMotSettings;
+use fieldbeat_sim::linudp::LinMotSettings;
 
 use crate::virtual_time::support::*;
 

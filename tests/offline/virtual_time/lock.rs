@@ -10,12 +10,12 @@ use fieldbeat::axis::{Command, Link};
 use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::ethercat::{EthercatPlan, Family, KollmorgenDrive};
 use fieldbeat::bus::linudp::LinUdpPlan;
-use fieldbeat::sim::ethercat::{EthercatSegment, EthercatSim};
 use fieldbeat::sim::{FaultPlan, SimPlan, WorldOptions};
 use fieldbeat::telemetry::{BusClock, ReferenceStatus, Summary};
 use fieldbeat::time::{MS, S, Time, US};
-use fieldbeat::{Cycle, CyclePlan, Granted, Master, Plan, Simulation};
-use fieldbeat_sim::ethercat::AlState;
+use fieldbeat::{Cycle, CyclePlan, Master, Plan, Simulation};
+use fieldbeat_core::rt::Granted;
+use fieldbeat_sim::ethercat::{AlState, EthercatSegment, EthercatSim};
 
 use super::support::drive;
 

@@ -5,14 +5,13 @@ use fieldbeat::axis::{FoundRunning, Link, StopCause};
 use fieldbeat::bus::ethercat::{Family, Watchdog};
 use fieldbeat::bus::linudp::motion::{Acceleration, MotionCommand, Position, Velocity};
 use fieldbeat::sim::SimSegment;
-use fieldbeat::sim::ethercat::EthercatSim;
 use fieldbeat::telemetry::Condition;
 use fieldbeat::time::{MS, Time};
 use fieldbeat_core::net::frames::MAC;
 use fieldbeat_ethercat::wire::frame::{BROADCAST, Builder, Command, FRAME_MAX};
 use fieldbeat_ethercat::wire::registers::address as register;
 use fieldbeat_linudp::wire::Request;
-use fieldbeat_sim::ethercat::AlState;
+use fieldbeat_sim::ethercat::{AlState, EthercatSim};
 
 use super::faults::inject;
 use super::kollmorgen::left::take_over;

@@ -7,7 +7,6 @@ use std::sync::atomic::{AtomicI64, Ordering};
 use fieldbeat::axis::{Abort, Axis, Command, EventKind, Link, Outcome, StopCause};
 use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::linudp::LinUdpPlan;
-use fieldbeat::sim::profibus::{LenzeSim, ProfibusSegment};
 use fieldbeat::sim::{SimPlan, Simulated, World, WorldOptions};
 use fieldbeat::telemetry::Numbers;
 use fieldbeat::time::Time;
@@ -16,6 +15,7 @@ use fieldbeat_core::cycle::engine::{Control, Engine};
 use fieldbeat_core::cycle::ring::Kept;
 use fieldbeat_core::rt::{Clock, PollSet, Wires};
 use fieldbeat_master::{Assembly, assemble};
+use fieldbeat_sim::profibus::{LenzeSim, ProfibusSegment};
 use fieldbeat_sim::world::WorldClock;
 
 use super::fuse::{Call, Fused};

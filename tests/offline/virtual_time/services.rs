@@ -5,17 +5,18 @@ use std::cell::{Cell, RefCell};
 use std::ops::ControlFlow;
 use std::time::Duration;
 
-use fieldbeat::axis::{Answer, Call, CallError, Command, Health, Link, Series, State, StopCause};
+use fieldbeat::axis::{CallError, Command, Health, Link, State, StopCause};
 use fieldbeat::bus::linudp::curve::{Curve, CurveKind, Dimension};
 use fieldbeat::bus::linudp::motion::{EntryId, MotionCommand, Position, WaitTime};
 use fieldbeat::bus::linudp::service::{CurvePut, Progress, Saved, ServiceError, Services};
 use fieldbeat::bus::linudp::table::{Entry, Table};
 use fieldbeat::sim::FaultPlan;
-use fieldbeat::sim::linudp::FlashMode;
 use fieldbeat::time::S;
 use fieldbeat_core::axis::acyclic::{Carrier, Condition};
+use fieldbeat_core::axis::{Answer, Call, Series};
 use fieldbeat_linudp::upid::{Upid, Usage};
 use fieldbeat_linudp::wire::{Refusal, RtcCommand};
+use fieldbeat_sim::linudp::FlashMode;
 
 use crate::virtual_time::carrier::Turning;
 use crate::virtual_time::support::*;

@@ -13,8 +13,7 @@ use fieldbeat::axis::{
     Move, Outcome, Profile, Row, StopCause, Target,
 };
 use fieldbeat::bus::BusPlan;
-use fieldbeat::bus::linudp::{DRIVE_PORT, ErrorCode, LinUdpDrive, LinUdpPlan, MASTER_PORT};
-use fieldbeat::sim::linudp::{LinMotSettings, LinMotSim, LinMots};
+use fieldbeat::bus::linudp::{ErrorCode, LinUdpDrive, LinUdpPlan};
 use fieldbeat::sim::{FaultPlan, SimDrive, World, WorldOptions};
 use fieldbeat::telemetry::{Numbers, Status};
 use fieldbeat::time::Time;
@@ -23,6 +22,8 @@ use fieldbeat_core::bus::Opened;
 use fieldbeat_core::net::{Carriers, Datagrams, Outbox, Received, Sent, StreamPeer, Streams, UdpOptions};
 use fieldbeat_core::rt::Regions;
 use fieldbeat_linudp::wire::{REQUEST_MAX, RESPONSE_MAX, Request, Response};
+use fieldbeat_linudp::{DRIVE_PORT, MASTER_PORT};
+use fieldbeat_sim::linudp::{LinMotSettings, LinMotSim, LinMots};
 
 use crate::between::{Between, Message, Shared};
 

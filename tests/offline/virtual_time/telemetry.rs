@@ -5,7 +5,6 @@ use std::time::Duration;
 use fieldbeat::axis::{Command, EventKind, Move, Profile, Target};
 
 use fieldbeat::bus::linudp::{LinUdpPlan, MonitorPlan};
-use fieldbeat::sim::linudp::{LinMotSettings, LinMots};
 use fieldbeat::sim::{FaultPlan, SimPlan, Simulated, World, WorldOptions};
 use fieldbeat::telemetry::{Cause, Extent, Measured, Numbers, Quantiles, Stage};
 use fieldbeat::time::{MS, US};
@@ -17,6 +16,7 @@ use fieldbeat_core::cycle::ring::{Kept, RecordReader};
 use fieldbeat_core::rt::Wires;
 use fieldbeat_linudp::upid::Upid;
 use fieldbeat_master::{Assembly, assemble};
+use fieldbeat_sim::linudp::{LinMotSettings, LinMots};
 use fieldbeat_telemetry::TelemetryThread;
 
 use super::support::{Rig, drive, simulated};

@@ -17,10 +17,10 @@ use fieldbeat::bus::ethercat::{
     Area, Device, EthercatPlan, Expected, Family, KollmorgenDrive, SlavePlan, Watchdog,
 };
 use fieldbeat::sim::SimPlan;
-use fieldbeat::sim::ethercat::{DriveSettings, EthercatSegment, Model, SegmentSettings, SlaveSettings};
 use fieldbeat::sim::server::{ServerOptions, SimServer};
 use fieldbeat::time::MS;
 use fieldbeat_core::net::{Carriers, Frames, Os};
+use fieldbeat_sim::ethercat::{DriveSettings, EthercatSegment, Model, SegmentSettings, SlaveSettings};
 
 use crate::capture::Capture;
 use crate::support::{Cable, Ended, Machine, command};

@@ -5,8 +5,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use fieldbeat::bus::ethercat::{EthercatPlan, Family, KollmorgenDrive};
-use fieldbeat::sim::ethercat::EthercatSegment;
 use fieldbeat_core::net::{Carriers, Os};
+use fieldbeat_sim::ethercat::EthercatSegment;
 
 use super::dissector::{APRD, APWR, Address, BRD, NOP, dissect, exchanges};
 use super::{ETHERTYPE, WIRE, cable, capture, segment, serve};

@@ -3,7 +3,7 @@
 use std::net::SocketAddrV4;
 use std::process::Command;
 
-use fieldbeat::sim::ethernet_ip::MoonsSettings;
+use fieldbeat_sim::ethernet_ip::MoonsSettings;
 
 use super::serve;
 use crate::support::{Machine, checkout};

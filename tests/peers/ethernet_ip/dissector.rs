@@ -7,7 +7,7 @@ use std::path::Path;
 use fieldbeat::Master;
 use fieldbeat::axis::{Command, Jog, ParameterError};
 use fieldbeat::bus::ethernet_ip::{Delivery, Explicit, MoonsDrive};
-use fieldbeat::sim::ethernet_ip::MoonsSettings;
+use fieldbeat_sim::ethernet_ip::MoonsSettings;
 
 use super::{drive, plan, serve};
 use crate::capture::{dissect, on_loopback};

@@ -10,9 +10,9 @@ use std::net::Ipv4Addr;
 use fieldbeat::Plan;
 use fieldbeat::bus::ethernet_ip::{EthernetIpPlan, MoonsDrive};
 use fieldbeat::sim::SimDrive;
-use fieldbeat::sim::ethernet_ip::{MoonsSettings, MoonsSim};
 use fieldbeat::sim::server::{ServerOptions, SimServer};
 use fieldbeat::time::MS;
+use fieldbeat_sim::ethernet_ip::{MoonsSettings, MoonsSim};
 
 use crate::support::{LONG, ordinary_cycle, skipping};
 

@@ -3,7 +3,7 @@
 use std::net::{Ipv4Addr, SocketAddrV4};
 use std::process::Command;
 
-use fieldbeat::sim::ethernet_ip::MoonsSettings;
+use fieldbeat_sim::ethernet_ip::MoonsSettings;
 
 use super::{ENABLE, ENABLED, MOVING, POSITION, RELATIVE, STATUS, serve};
 use crate::peer::Peer;

@@ -5,7 +5,7 @@ use std::net::{SocketAddrV4, TcpListener, TcpStream};
 use std::thread::{sleep, spawn};
 use std::time::Duration;
 
-use fieldbeat::sim::modbus::UnidriveSettings;
+use fieldbeat_sim::modbus::UnidriveSettings;
 
 use super::Library::{Libmodbus, Pymodbus};
 use super::{Library, PORT, serve};

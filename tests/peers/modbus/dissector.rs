@@ -4,8 +4,8 @@ use std::net::{Ipv4Addr, SocketAddrV4};
 
 use fieldbeat::axis::{Command, Jog};
 use fieldbeat::bus::modbus::{ModbusPlan, Via};
-use fieldbeat::sim::modbus::{ReadWrite, UnidriveSettings};
 use fieldbeat::{Master, Plan};
+use fieldbeat_sim::modbus::{ReadWrite, UnidriveSettings};
 
 use super::{PORT, drive, plan, serve};
 use crate::capture::{dissect, on_loopback};

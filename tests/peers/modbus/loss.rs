@@ -9,8 +9,8 @@ use std::time::Duration;
 use fieldbeat::Master;
 use fieldbeat::axis::Health;
 use fieldbeat::bus::modbus::UnidriveDrive;
-use fieldbeat::sim::modbus::UnidriveSettings;
 use fieldbeat::time::MS;
+use fieldbeat_sim::modbus::UnidriveSettings;
 use nix::sys::socket::{SockaddrIn, getpeername, getsockname};
 
 use super::{PORT, drive, plan, serve};

@@ -15,9 +15,9 @@ use std::process::Command;
 use fieldbeat::Plan;
 use fieldbeat::bus::modbus::{ModbusPlan, UnidriveDrive};
 use fieldbeat::sim::SimDrive;
-use fieldbeat::sim::modbus::{UnidriveSettings, UnidriveSim};
 use fieldbeat::sim::server::{ServerOptions, SimServer};
 use fieldbeat::time::S;
+use fieldbeat_sim::modbus::{UnidriveSettings, UnidriveSim};
 
 use crate::peer::Peer;
 use crate::support::{LONG, Machine, checkout, command, ordinary_cycle, skipping};

@@ -3,8 +3,8 @@
 use std::process::Command;
 
 use fieldbeat::bus::profibus::ProfibusPlan;
-use fieldbeat::sim::profibus::DpState;
 use fieldbeat::time::MS;
+use fieldbeat_sim::profibus::DpState;
 
 use super::cable::{By, Cable};
 use super::telegrams::{TOKEN, Telegram, as_sd2, global_control, low, searched, start_up, started};

@@ -14,11 +14,11 @@ use std::sync::{Arc, Mutex};
 use fieldbeat::Time;
 use fieldbeat::axis::Profile;
 use fieldbeat::bus::profibus::{LenzeDrive, Numbers, ParameterPath, ProfibusPlan};
-use fieldbeat::sim::profibus::{Broken, DpState, Events, LenzeSim, Misuse, ProfibusSegment};
 use fieldbeat::sim::server::{ServerOptions, SimServer};
 use fieldbeat::sim::{SimSerial, Simulated};
 use fieldbeat::time::{MS, S};
 use fieldbeat_profibus::wire::dp::Watchdog;
+use fieldbeat_sim::profibus::{Broken, DpState, Events, LenzeSim, Misuse, ProfibusSegment};
 
 use self::cable::Cable;
 

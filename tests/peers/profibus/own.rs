@@ -4,10 +4,10 @@ use std::collections::BTreeMap;
 use std::process::Command;
 
 use fieldbeat::axis::{Axis, ParameterError};
-use fieldbeat::sim::profibus::DpState;
 use fieldbeat::time::MS;
 use fieldbeat::{CyclePlan, Master, Memory};
 use fieldbeat_profibus::wire::telegram::{Next, Telegram};
+use fieldbeat_sim::profibus::DpState;
 
 use super::cable::{By, Cable};
 use super::telegrams::{TOKEN, global_control, searched, start_up, started};

@@ -10,12 +10,12 @@ use fieldbeat::OpenError;
 use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::linudp::{ErrorCode, LinUdpPlan, StateVar, StatusWord, WarnWord};
 use fieldbeat::sim::SimDrive;
-use fieldbeat::sim::linudp::{LinMotSettings, LinMotSim};
 use fieldbeat::time::Time;
 use fieldbeat_core::bus::Opened;
 use fieldbeat_core::net::{Carriers, Datagrams, Outbox, Received, Sent, StreamPeer, Streams, UdpOptions};
 use fieldbeat_core::rt::Regions;
 use fieldbeat_linudp::wire::{RESPONSE_MAX, Request, RequestDef, Response, ResponseDef};
+use fieldbeat_sim::linudp::{LinMotSettings, LinMotSim};
 
 use super::super::input::Input;
 

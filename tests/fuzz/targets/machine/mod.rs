@@ -14,13 +14,13 @@ use fieldbeat::axis::{
     Underrun, Units,
 };
 use fieldbeat::bus::linudp::{
-    COUNTS_PER_MM, DRIVE_PORT, ErrorCode, LinUdpDrive, LinUdpPlan, MonitorPlan, Native, ReplyTag,
-    StreamCommand,
+    COUNTS_PER_MM, ErrorCode, LinUdpDrive, LinUdpPlan, MonitorPlan, Native, ReplyTag, StreamCommand,
 };
-use fieldbeat::sim::linudp::LinMotSettings;
 use fieldbeat::sim::{FaultPlan, WorldOptions};
 use fieldbeat::time::{MS, US};
 use fieldbeat::{CyclePlan, Flow, Master, Overrun, Plan, Simulation};
+use fieldbeat_linudp::DRIVE_PORT;
+use fieldbeat_sim::linudp::LinMotSettings;
 
 use self::hostile::{HostileBus, Script, Wire};
 use self::watch::Watch;

@@ -8,10 +8,10 @@ use std::collections::{BTreeMap, BTreeSet};
 use fieldbeat::axis::{
     Abort, Command, Event, EventKind, Feedback, FoundRunning, NativeOwner, Outcome, StopCause,
 };
-use fieldbeat::bus::linudp::motion::CommandInfo;
 use fieldbeat::bus::linudp::{ControlWord, LinUdpDrive, MotionBlock, ReplyTag, StatusWord, StreamCommand};
 use fieldbeat::telemetry::DriveEnd;
 use fieldbeat::time::Time;
+use fieldbeat_linudp::motion::CommandInfo;
 use fieldbeat_linudp::wire::{Request, Response, RtcBlock};
 
 use super::hostile::{Came, Requested};

@@ -11,7 +11,6 @@ use fieldbeat::Time;
 use fieldbeat::axis::{AxisPlan, Profile, Unit, Units};
 use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::ethercat::{EthercatPlan, Family, KollmorgenDrive, Object, Start, Type, Watchdog};
-use fieldbeat::sim::ethercat::{DriveSettings, EthercatSegment, EthercatSim, SlaveSettings};
 use fieldbeat::sim::{SimPlan, SimSegment, Simulated};
 use fieldbeat::time::MS;
 use fieldbeat_core::bus::cia402::{ControlCommand as Operation, ControlWord, StatusWord};
@@ -22,6 +21,7 @@ use fieldbeat_ethercat::object::{Target, pdo};
 use fieldbeat_ethercat::wire::frame::{Command, FrameError, datagrams};
 use fieldbeat_ethercat::wire::registers::{AlState, AlStatus};
 use fieldbeat_ethercat::wire::sdo::AbortCode;
+use fieldbeat_sim::ethercat::{DriveSettings, EthercatSegment, EthercatSim, SlaveSettings};
 
 use fieldbeat::Axis;
 use fieldbeat::bus::ethercat;

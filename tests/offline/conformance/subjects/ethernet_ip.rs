@@ -8,12 +8,12 @@ use fieldbeat::axis::{AxisPlan, Profile, Unit, Units};
 use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::ethernet_ip;
 use fieldbeat::bus::ethernet_ip::{
-    EthernetIpPlan, Homing, HomingMethod, Inputs, Layout, MoonsDrive, Originator, PORT, Version, command,
-    status,
+    EthernetIpPlan, Homing, HomingMethod, Inputs, Layout, MoonsDrive, Originator, Version, command, status,
 };
-use fieldbeat::sim::ethernet_ip::{MoonsSettings, MoonsSim};
 use fieldbeat::sim::{SimDrive, Simulated};
+use fieldbeat_ethernet_ip::PORT;
 use fieldbeat_ethernet_ip::wire::io::Packet;
+use fieldbeat_sim::ethernet_ip::{MoonsSettings, MoonsSim};
 
 use crate::between::{Between, Message, Shared};
 use crate::conformance::line::{GRID, PERIOD};

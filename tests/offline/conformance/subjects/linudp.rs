@@ -8,14 +8,13 @@ use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::linudp;
 use fieldbeat::bus::linudp::motion::Acceleration;
 use fieldbeat::bus::linudp::motion::MotionCommand;
-use fieldbeat::bus::linudp::{
-    COUNTS_PER_MM, ControlWord, DRIVE_PORT, LinUdpDrive, LinUdpPlan, MainState, ReplyTag,
-};
-use fieldbeat::sim::linudp::{LinMotSettings, LinMots};
+use fieldbeat::bus::linudp::{COUNTS_PER_MM, ControlWord, LinUdpDrive, LinUdpPlan, MainState, ReplyTag};
 use fieldbeat::sim::{SimPlan, Simulated};
+use fieldbeat_linudp::DRIVE_PORT;
 use fieldbeat_linudp::upid;
 use fieldbeat_linudp::wire::RtcBlock;
 use fieldbeat_linudp::wire::{Refusal, Request, RequestDef, Response, ResponseDef, RtcCommand};
+use fieldbeat_sim::linudp::{LinMotSettings, LinMots};
 
 use crate::conformance::subject::{Calls, Can, Drive, SOON, Said, Subject};
 

@@ -8,14 +8,15 @@ use fieldbeat::axis::{AxisPlan, Profile, Unit, Units};
 use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::modbus;
 use fieldbeat::bus::modbus::{
-    Addressing, ControlWord, ModbusPlan, PORT, Parameter, StatusWord, UnidriveDrive, Via, Watchdog, Width,
+    Addressing, ControlWord, ModbusPlan, Parameter, StatusWord, UnidriveDrive, Via, Watchdog, Width,
 };
-use fieldbeat::sim::modbus::{Start, UnidriveSettings, Unidrives};
 use fieldbeat::sim::{SimPlan, Simulated};
 use fieldbeat::time::US;
+use fieldbeat_modbus::PORT;
 use fieldbeat_modbus::notation::{Service, Target};
 use fieldbeat_modbus::wire;
 use fieldbeat_modbus::wire::{ExceptionCode, Header, Registers, Request, Response};
+use fieldbeat_sim::modbus::{Start, UnidriveSettings, Unidrives};
 
 use crate::conformance::subject::{Calls, Can, Drive, NoMessage, SOON, Said, Subject};
 

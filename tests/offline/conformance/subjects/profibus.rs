@@ -7,12 +7,12 @@ use fieldbeat::axis::{AxisPlan, Profile, Unit, Units};
 use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::profibus;
 use fieldbeat::bus::profibus::{DriveProfile, LenzeDrive, Numbers, ParameterPath, ProfibusPlan, Watchdog};
-use fieldbeat::sim::profibus::{LenzeSim, ProfibusSegment};
 use fieldbeat::sim::{SimPlan, SimSerial, Simulated};
 use fieldbeat::time::MS;
 use fieldbeat_profibus::wire::sap;
 use fieldbeat_profibus::wire::telegram::{Frame, Head, Next, Telegram};
 use fieldbeat_profibus::wire::words::{DrivecomStatus, ProfidriveStatus};
+use fieldbeat_sim::profibus::{LenzeSim, ProfibusSegment};
 
 use crate::conformance::line::{GRID, LATENCY};
 use crate::conformance::subject::{Calls, Can, Drive, NoMessage, SOON, Said, Subject};

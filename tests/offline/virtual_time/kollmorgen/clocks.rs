@@ -2,9 +2,9 @@
 
 use fieldbeat::axis::{Command, Link};
 use fieldbeat::bus::ethercat::{Area, Device, SlavePlan};
-use fieldbeat::sim::ethercat::{ClockKind, EthercatSegment, SlaveSettings};
 use fieldbeat::sim::{FaultPlan, WorldOptions};
 use fieldbeat::time::{MS, S, US};
+use fieldbeat_sim::ethercat::{ClockKind, EthercatSegment, SlaveSettings};
 
 use super::{LINE, Machine, jog, plan};
 

@@ -10,7 +10,6 @@ use fieldbeat::bus::ethercat::{
     Area, Device, EthercatPlan, Expected, Family, KollmorgenDrive, Object, SlavePlan, Start, Terminals, Type,
 };
 use fieldbeat::sim::WorldOptions;
-use fieldbeat::sim::ethercat::{EthercatSegment, EthercatSim, SlaveSettings};
 use fieldbeat::{CyclePlan, MasterError, Plan};
 use fieldbeat_core::axis::acyclic::Notation;
 use fieldbeat_ethercat::faults::Fault;
@@ -18,6 +17,7 @@ use fieldbeat_ethercat::object::long::Target as _;
 use fieldbeat_ethercat::object::{Objects, Target};
 use fieldbeat_ethercat::wire::frame::{Command as Datagram, position};
 use fieldbeat_ethercat::wire::registers::address;
+use fieldbeat_sim::ethercat::{EthercatSegment, EthercatSim, SlaveSettings};
 
 use super::drives::{answer, left};
 use super::{LINE, Machine, drive};

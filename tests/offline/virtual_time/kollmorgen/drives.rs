@@ -1,12 +1,12 @@
 //! What the drives of a segment do, and what befalls them.
 
-use fieldbeat::axis::{CallError, CallTicket, Command, Emergency, EventKind, Link, Outcome, State};
+use fieldbeat::axis::{CallError, Command, Emergency, EventKind, Link, Outcome, State};
 use fieldbeat::bus::ethercat::{EthercatPlan, Family, KollmorgenDrive, Layout, Mapping, Object, Watchdog};
-use fieldbeat::sim::ethercat::EthercatSim;
 use fieldbeat::sim::{FaultPlan, Simulated};
 use fieldbeat::time::MS;
+use fieldbeat_core::axis::CallTicket;
 use fieldbeat_ethercat::faults::Fault;
-use fieldbeat_sim::ethercat::AlState;
+use fieldbeat_sim::ethercat::{AlState, EthercatSim};
 
 use super::{LINE, Machine, drive, jog, plan, with};
 

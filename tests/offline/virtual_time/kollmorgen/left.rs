@@ -3,12 +3,11 @@
 use fieldbeat::CyclePlan;
 use fieldbeat::axis::{self, FoundRunning, Link, Outcome, StopCause};
 use fieldbeat::bus::ethercat::{EthercatPlan, Family, KollmorgenDrive, Layout, Mapping, Object, Watchdog};
-use fieldbeat::sim::ethercat::{EthercatSegment, EthercatSim};
 use fieldbeat::sim::{SimSegment, WorldOptions};
 use fieldbeat::time::{MS, S, Time, US};
 use fieldbeat_ethercat::wire::frame::{Command, position};
 use fieldbeat_ethercat::wire::registers::{Fmmu, address};
-use fieldbeat_sim::ethercat::AlState;
+use fieldbeat_sim::ethercat::{AlState, EthercatSegment, EthercatSim};
 
 use super::drives::left;
 use super::{LINE, Machine, UP, drive, jog, pass};

@@ -2,9 +2,8 @@
 
 use fieldbeat::axis::{Command, Link};
 use fieldbeat::bus::ethercat::{EthercatPlan, Family};
-use fieldbeat::sim::ethercat::{EthercatSegment, MailboxSettings, SiiSettings, SlaveSettings};
 use fieldbeat::time::MS;
-use fieldbeat_sim::ethercat::AlState;
+use fieldbeat_sim::ethercat::{AlState, EthercatSegment, MailboxSettings, SiiSettings, SlaveSettings};
 
 use super::{LINE, Machine, jog, plan, with};
 

@@ -30,7 +30,6 @@ use fieldbeat::axis::{Command, Feedback, Jog, Link, Outcome, State};
 use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::ethercat::{EthercatPlan, Family, KollmorgenDrive, Watchdog};
 use fieldbeat::config::{Configuration, parse};
-use fieldbeat::sim::ethercat::{EthercatSegment, EthercatSim, Misuse};
 use fieldbeat::sim::{SimPlan, SimSegment, Simulated, WorldOptions};
 use fieldbeat::telemetry::Counters;
 use fieldbeat::time::{MS, Time};
@@ -38,6 +37,7 @@ use fieldbeat::{CyclePlan, Flow, Master, Plan, Simulation};
 use fieldbeat_ethercat::object::pdo;
 use fieldbeat_ethercat::wire::frame::{BROADCAST, Builder, Command as Datagram, FRAME_MAX};
 use fieldbeat_sim::ethercat::Drive;
+use fieldbeat_sim::ethercat::{EthercatSegment, EthercatSim, Misuse};
 
 /// The interface of the line.
 pub const LINE: &str = "local:line";

@@ -5,10 +5,10 @@ use fastrand::Rng;
 use fieldbeat::CyclePlan;
 use fieldbeat::axis::{Command, Link, StopCause};
 use fieldbeat::bus::ethercat::{EthercatPlan, Expected, Family, Watchdog};
-use fieldbeat::sim::ethercat::EthercatSegment;
 use fieldbeat::sim::{SimPlan, SimSegment, WorldOptions};
 use fieldbeat_ethercat::wire::frame::{Command as Frame, position};
 use fieldbeat_ethercat::wire::registers::address;
+use fieldbeat_sim::ethercat::EthercatSegment;
 
 use super::{LINE, Machine, drive, jog, plan};
 

@@ -6,10 +6,10 @@ use fieldbeat::axis::{Command, Link};
 use fieldbeat::bus::ethercat::{Area, Device, EthercatPlan, Family, SlavePlan, Terminals};
 use fieldbeat::config::{Configuration, parse};
 use fieldbeat::sim::WorldOptions;
-use fieldbeat::sim::ethercat::{EthercatSegment, EthercatSim};
 use fieldbeat_ethercat::counters::Own;
 use fieldbeat_ethercat::wire::frame::{Command as Datagram, position};
 use fieldbeat_ethercat::wire::registers::address;
+use fieldbeat_sim::ethercat::{EthercatSegment, EthercatSim};
 
 use super::drives::left;
 use super::{LINE, Machine, drive};

@@ -2,7 +2,7 @@
 
 use fieldbeat::EventKind;
 use fieldbeat::axis::{Command, Outcome, State};
-use fieldbeat::sim::profibus::ProfibusSegment;
+use fieldbeat_sim::profibus::ProfibusSegment;
 
 use super::tap::TapWire;
 use super::turns::{STOP, jog};

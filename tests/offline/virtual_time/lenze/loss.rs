@@ -4,10 +4,10 @@ use fieldbeat::Simulation;
 use fieldbeat::axis::{Command, StopCause};
 use fieldbeat::bus::profibus::ProfibusPlan;
 use fieldbeat::sim::FaultPlan;
-use fieldbeat::sim::profibus::{ForeignMaster, ForeignSettings, NoiseSettings, ProfibusSegment};
 use fieldbeat::telemetry::Counters;
 use fieldbeat::time::{MS, S};
 use fieldbeat_profibus::counters::Own;
+use fieldbeat_sim::profibus::{ForeignMaster, ForeignSettings, NoiseSettings, ProfibusSegment};
 
 use super::tap::TapWire;
 use super::turns::{STOP, jog};

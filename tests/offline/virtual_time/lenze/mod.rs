@@ -25,13 +25,13 @@ use std::sync::{Arc, Mutex};
 use fieldbeat::axis::{Command, Feedback, Link, Outcome, Profile};
 use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::profibus::{LenzeDrive, ProfibusPlan};
-use fieldbeat::sim::profibus::{LenzeSim, Misuse, ProfibusSegment};
 use fieldbeat::sim::{SerialWire, Simulated, WorldOptions};
 use fieldbeat::telemetry::Counters;
 use fieldbeat::{CyclePlan, Master, OpenError, Plan, Simulation};
 use fieldbeat_core::bus::{Notes, Opened};
 use fieldbeat_core::net::Carriers;
 use fieldbeat_profibus::counters::Own;
+use fieldbeat_sim::profibus::{LenzeSim, Misuse, ProfibusSegment};
 
 /// The master's port.
 pub const PORT: &str = "/dev/ttyS1";

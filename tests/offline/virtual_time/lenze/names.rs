@@ -3,8 +3,8 @@
 use std::collections::BTreeSet;
 
 use fieldbeat::axis::{Command, Link, Outcome, State};
-use fieldbeat::sim::profibus::{LenzeSettings, UserPrm};
 use fieldbeat::time::{MS, S};
+use fieldbeat_sim::profibus::{LenzeSettings, UserPrm};
 
 use super::turns::jog;
 use super::{Lenze, cycle, own, wire};

@@ -2,8 +2,8 @@
 
 use fieldbeat::axis::{CallError, Link, ParameterError, ParameterTicket, Parameters, Scalar};
 use fieldbeat::bus::profibus::{Numbers, ParameterPath, ProfibusPlan};
-use fieldbeat::sim::profibus::Channel;
 use fieldbeat::{CyclePlan, Simulation};
+use fieldbeat_sim::profibus::Channel;
 
 use super::{Lenze, PORT, wire};
 use crate::virtual_time::commanding::{Subject, never_in_any_sequence, never_meet, refuses_while_on};

@@ -1,11 +1,12 @@
 //! As many exchanges as the formula has: whole turns that begin inside the windows, each as long as rate, bytes,
 //! MaxTsdr and idle time make it.
 
-use fieldbeat::bus::Grid;
 use fieldbeat::bus::profibus::ProfibusPlan;
 use fieldbeat::telemetry::{Counters, Summary};
 use fieldbeat::time::{MS, S, US};
-use fieldbeat::{CyclePlan, Granted, Plan};
+use fieldbeat::{CyclePlan, Plan};
+use fieldbeat_core::bus::Grid;
+use fieldbeat_core::rt::Granted;
 use fieldbeat_profibus::counters::Own;
 
 use super::{Lenze, cycle, own, wire};

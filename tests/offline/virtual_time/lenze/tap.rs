@@ -4,10 +4,10 @@ use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard};
 
 use fieldbeat::bus::profibus::Bits;
-use fieldbeat::sim::profibus::{LenzeSettings, LenzeSim, ProfibusSegment};
 use fieldbeat::sim::{SerialWire, SimSerial};
 use fieldbeat::time::Time;
 use fieldbeat_core::net::SerialLine;
+use fieldbeat_sim::profibus::{LenzeSettings, LenzeSim, ProfibusSegment};
 
 /// Bit 6 of a function code: a request.
 const REQUEST: u8 = 1 << 6;

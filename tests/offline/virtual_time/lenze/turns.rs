@@ -2,9 +2,9 @@
 
 use fieldbeat::axis::{Command, Jog, State};
 use fieldbeat::bus::profibus::RATES;
-use fieldbeat::sim::profibus::{DpState, ProfibusSegment};
 use fieldbeat::time::MS;
 use fieldbeat_profibus::counters::Own;
+use fieldbeat_sim::profibus::{DpState, ProfibusSegment};
 
 use super::tap::TapWire;
 use super::{Lenze, PROFILE, cycle, own, wire};

@@ -2,7 +2,7 @@
 //! the end has a count.
 
 use fieldbeat::bus::ethernet_ip::command;
-use fieldbeat::sim::ethernet_ip::Edges;
+use fieldbeat_sim::ethernet_ip::Edges;
 
 use super::*;
 

@@ -2,8 +2,8 @@
 
 use fieldbeat::axis::{Command, Outcome, StopCause};
 use fieldbeat::bus::ethernet_ip::{Access, EnableInput, Version, command};
-use fieldbeat::sim::ethernet_ip::Kind;
 use fieldbeat::time::MS;
+use fieldbeat_sim::ethernet_ip::Kind;
 
 use super::*;
 

@@ -2,7 +2,7 @@
 
 use fieldbeat::axis::{Command, Jog};
 use fieldbeat::bus::ethernet_ip::command;
-use fieldbeat::sim::ethernet_ip::Edges;
+use fieldbeat_sim::ethernet_ip::Edges;
 
 use super::*;
 

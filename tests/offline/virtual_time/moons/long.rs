@@ -1,7 +1,7 @@
 //! An hour of packets by two clocks.
 
-use fieldbeat::sim::ethernet_ip::ClockSettings;
 use fieldbeat::time::{S, US};
+use fieldbeat_sim::ethernet_ip::ClockSettings;
 
 use super::*;
 

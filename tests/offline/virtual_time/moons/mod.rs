@@ -19,12 +19,12 @@ use std::net::{Ipv4Addr, SocketAddrV4};
 
 use fieldbeat::axis::{Command, Feedback, Jog, Link, Move, Outcome, Profile, Target};
 use fieldbeat::bus::ethernet_ip::{EthernetIpPlan, Homing, HomingMethod, MoonsDrive, Originator};
-use fieldbeat::sim::ethernet_ip::{MoonsSettings, MoonsSim};
 use fieldbeat::sim::{FaultPlan, SimDrive, Simulated, Truth, WorldOptions};
 use fieldbeat::telemetry::Numbers;
 use fieldbeat::time::MS;
 use fieldbeat::{Flow, Master, Plan, Simulation, Time};
 use fieldbeat_core::cycle::bound;
+use fieldbeat_sim::ethernet_ip::{MoonsSettings, MoonsSim};
 
 use crate::between::{Between, Message, Sender, Shared};
 

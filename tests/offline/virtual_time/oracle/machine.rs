@@ -6,9 +6,7 @@ use std::ops::Range;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use fieldbeat::axis::{
-    AxisPlan, CallTicket, HeldBy, Limits, Link, Load, Profile, StopPlan, StopThen, StopTimeout,
-};
+use fieldbeat::axis::{AxisPlan, HeldBy, Limits, Link, Load, Profile, StopPlan, StopThen, StopTimeout};
 use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::ethercat::{EthercatPlan, Family, KollmorgenDrive};
 use fieldbeat::bus::ethernet_ip::{EthernetIpPlan, Explicit, Homing, HomingMethod, MoonsDrive};
@@ -16,17 +14,18 @@ use fieldbeat::bus::linudp::motion::{Acceleration, MotionCommand, Position, Velo
 use fieldbeat::bus::linudp::{ControlWord, LinUdpDrive, ReplyTag};
 use fieldbeat::bus::modbus::{ModbusPlan, UnidriveDrive, Via};
 use fieldbeat::bus::profibus::{DriveProfile, LenzeDrive, Numbers, ParameterPath, ProfibusPlan};
-use fieldbeat::sim::ethercat::{EthercatSegment, EthercatSim};
-use fieldbeat::sim::ethernet_ip::{ClockSettings, Edges, MoonsSettings, MoonsSim};
-use fieldbeat::sim::linudp::{LinMotSettings, LinMotSim};
-use fieldbeat::sim::modbus::{UnidriveSettings, UnidriveSim};
-use fieldbeat::sim::profibus::{Misuse, ProfibusSegment};
 use fieldbeat::sim::{SimDrive, SimSegment, Simulated, Truth, World, WorldOptions};
 use fieldbeat::time::{MS, Time, US};
 use fieldbeat::{CyclePlan, Master, Plan, Simulation};
+use fieldbeat_core::axis::CallTicket;
 use fieldbeat_ethercat::wire::registers::{AlState, AlStatus, address as register};
 use fieldbeat_linudp::wire::{Request, Response, ResponseDef};
 use fieldbeat_modbus::Mapping;
+use fieldbeat_sim::ethercat::{EthercatSegment, EthercatSim};
+use fieldbeat_sim::ethernet_ip::{ClockSettings, Edges, MoonsSettings, MoonsSim};
+use fieldbeat_sim::linudp::{LinMotSettings, LinMotSim};
+use fieldbeat_sim::modbus::{UnidriveSettings, UnidriveSim};
+use fieldbeat_sim::profibus::{Misuse, ProfibusSegment};
 
 use crate::between::{Between, Message, Sender, Shared};
 use crate::proposing::ProposingPlan;

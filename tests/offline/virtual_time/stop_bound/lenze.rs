@@ -6,9 +6,9 @@ use std::collections::BTreeSet;
 use fieldbeat::axis::{Command, StopHow};
 use fieldbeat::bus::profibus::{ParameterPath, ProfibusPlan};
 use fieldbeat::sim::WorldOptions;
-use fieldbeat::sim::profibus::ProfibusSegment;
 use fieldbeat::time::{MS, Time};
 use fieldbeat_core::cycle::bound::stop_bound;
+use fieldbeat_sim::profibus::ProfibusSegment;
 
 use crate::virtual_time::lenze::tap::TapWire;
 use crate::virtual_time::lenze::turns::jog;

@@ -1,6 +1,7 @@
 //! Several parameters in one request.
 
-use fieldbeat::axis::{Call, CallError, ParameterError};
+use fieldbeat::axis::{CallError, ParameterError};
+use fieldbeat_core::axis::Call;
 use fieldbeat_core::axis::acyclic::Access;
 use fieldbeat_core::axis::acyclic::long::{self, LOAD, PART, READ_SEVERAL, STORE};
 

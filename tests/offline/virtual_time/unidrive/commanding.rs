@@ -1,6 +1,7 @@
 //! A Unidrive and the parameters that command it.
 
-use fieldbeat::axis::{Acyclic, Call};
+use fieldbeat::axis::Acyclic;
+use fieldbeat_core::axis::Call;
 use fieldbeat_core::axis::acyclic::long;
 
 use super::*;

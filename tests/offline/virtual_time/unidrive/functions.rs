@@ -2,7 +2,7 @@
 
 use fieldbeat::axis::NativeOwner;
 use fieldbeat::bus::modbus::{Native, NativeOutput};
-use fieldbeat::sim::modbus::ReadWrite;
+use fieldbeat_sim::modbus::ReadWrite;
 
 use super::*;
 

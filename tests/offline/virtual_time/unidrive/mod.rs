@@ -18,7 +18,6 @@ use fieldbeat::bus::modbus::{
     Addressing, ControlWord, Functions, ModbusPlan, Parameter, StatusWord, Trip, UnidriveDrive, Via,
     Watchdog, Width,
 };
-use fieldbeat::sim::modbus::{Start, UnidriveSettings, UnidriveSim};
 use fieldbeat::sim::{FaultPlan, SimDrive, SimPlan, WorldOptions};
 use fieldbeat::telemetry::Summary;
 use fieldbeat::telemetry::{Counters, Numbers};
@@ -27,6 +26,7 @@ use fieldbeat::{Master, Plan, Simulation};
 use fieldbeat_modbus::counters::OWN;
 use fieldbeat_modbus::counters::Own;
 use fieldbeat_modbus::wire::{Header, RegistersBuffer, Request, Response, function};
+use fieldbeat_sim::modbus::{Start, UnidriveSettings, UnidriveSim};
 
 use super::support::Paired;
 use crate::between::{Between, Message, Shared};

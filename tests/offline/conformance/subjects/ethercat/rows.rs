@@ -7,7 +7,6 @@ use std::ops::Range;
 
 use fieldbeat::axis::Link;
 use fieldbeat::bus::ethercat::{Area, Terminals};
-use fieldbeat::sim::ethercat::{ClockKind, EthercatSim, MailboxSettings, Misuse, Model, SiiContent};
 use fieldbeat::sim::{FaultPlan, SimSegment};
 use fieldbeat::time::{MS, S, Time};
 use fieldbeat_core::axis::acyclic::long::Target as _;
@@ -17,6 +16,7 @@ use fieldbeat_ethercat::wire::frame::{BROADCAST, Builder, Command as Frame, posi
 use fieldbeat_ethercat::wire::registers::{Features, Links, address};
 use fieldbeat_ethercat::wire::sii::Status;
 use fieldbeat_sim::ethercat::esc::Met;
+use fieldbeat_sim::ethercat::{ClockKind, EthercatSim, MailboxSettings, Misuse, Model, SiiContent};
 
 use super::FREE;
 use super::slaves::{COUPLER, Front, IO, PLAIN, Slaves, UNWATCHED, WATCHED, area};

@@ -2,11 +2,11 @@
 //! here, those that have one oddity each in `rows`.
 
 use fieldbeat::bus::ethercat::{Area, Device, KollmorgenDrive, SlavePlan, Watchdog};
-use fieldbeat::sim::ethercat::{
+use fieldbeat::time::{MS, US};
+use fieldbeat_sim::ethercat::{
     Behind, ClockKind, Coupler, DriveSettings, EthercatSegment, MailboxSettings, Model, SiiSettings,
     SlaveSettings,
 };
-use fieldbeat::time::{MS, US};
 
 use crate::conformance::subject::SOON;
 
