@@ -10,7 +10,7 @@ fn main() {
     println!("cargo::rustc-env=FIELDBEAT_VERSION={shown}");
 }
 
-/// What `git describe` says of this checkout; `None`: it is none, or in the repository of somebody else.
+/// The answer of `git describe` for this checkout; `None`: it is none, or in the repository of somebody else.
 fn commit() -> Option<String> {
     let git = |arguments: &[&str]| {
         let output =

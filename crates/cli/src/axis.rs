@@ -22,7 +22,7 @@ use super::reach::BringUp;
 use super::serving::Guarding;
 use super::{Stop, load, print, span};
 
-/// What the operator is called by.
+/// The name of the operator.
 const COMMAND: &str = "axis";
 
 /// Arguments of `axis`.
@@ -138,7 +138,7 @@ struct Cut {
 /// It was done, in words.
 type Done = Result<String, Cut>;
 
-/// What becomes of the axes.
+/// The way that the axes are left.
 enum Way {
     /// They were left in order, and this one is so.
     Left(Box<(AxisFacts, AxisState)>),
@@ -333,7 +333,7 @@ impl Axis {
 struct Session<'a> {
     reached: &'a mut Reached,
     interrupt: &'a Interrupt,
-    /// What stands in front of a command to this axis.
+    /// The text in front of a command to this axis.
     typed: String,
     facts: AxisFacts,
     index: usize,

@@ -76,7 +76,7 @@ impl Check {
     }
 }
 
-/// What a cycle takes.
+/// The cost of a cycle.
 fn of_cycle(cost: &CycleCost) -> Value {
     let stages = |of: &Stages| {
         let [send, receive, own] = [of.send_ns, of.receive_ns, of.own_ns];

@@ -27,7 +27,7 @@ use super::service::Service;
 /// opened, it may be many things.
 const STANDS_FOR: Duration = Duration::from_secs(1);
 
-/// So many reasons are kept apart: numbers in them may make each another one.
+/// The number of reasons that are kept apart: numbers in them may make each another one.
 const MOST_REASONS: usize = 64;
 
 /// Looks after a master.
@@ -43,9 +43,9 @@ pub struct Handler {
     /// The axes, if others may operate them.
     station: Option<Station>,
     links: Vec<Link>,
-    drives: Vec<Known>,
-    devices: Vec<Known>,
-    /// What was said of drives and devices that are in operation.
+    drives: Vec<DriveReports>,
+    devices: Vec<DriveReports>,
+    /// The remarks on drives and devices that are in operation.
     remarks: Vec<String>,
     /// All of them were online once.
     complete: bool,
@@ -54,7 +54,7 @@ pub struct Handler {
     emergencies: u64,
     /// How many failures of the program itself were reported.
     failures: usize,
-    /// What is shown here panicked: from then on nothing is.
+    /// The display panicked: from then on nothing is shown.
     is_blind: bool,
 }
 
@@ -82,8 +82,8 @@ impl Handler {
             axes: Vec::new(),
             station,
             links: vec![Link::default(); master.observers().len()],
-            drives: master.plan().fault_names().into_iter().map(Known::new).collect(),
-            devices: master.devices().iter().map(|_| Known::new(|_| None)).collect(),
+            drives: master.plan().fault_names().into_iter().map(DriveReports::new).collect(),
+            devices: master.devices().iter().map(|_| DriveReports::new(|_| None)).collect(),
             remarks: Vec::new(),
             complete: false,
             black_boxes: 0,
@@ -163,7 +163,7 @@ impl Handler {
         new.iter().for_each(|failure| self.live.say(&failure.what));
     }
 
-    /// Asks for the orderly end, and looks after the master until it has come to it.
+    /// Requests the orderly end, and watches the master until it has come to it.
     pub fn end(mut self, master: &Master) {
         self.service.stopping();
         master.stop();
@@ -206,7 +206,7 @@ impl Handler {
         let drives = master.observers().iter().zip(&mut self.drives);
         for (index, ((name, observer), known)) in drives.enumerate() {
             let feedback = observer.feedback();
-            // Also while it is online: what is counted from then on tells why it is not.
+            // Also while it is online: what is counted from then on says why it goes offline.
             let why = master.not_connected(index);
             let why = known.stands(feedback.link, now, || why);
             let apart = why.map(|why| format!("not connected: {why}"));
@@ -285,12 +285,12 @@ fn measured<R: Default>(master: &Master, look: impl FnOnce(&Measured) -> R) -> R
     }
 }
 
-/// What was reported of a drive.
+/// The reports on a drive.
 #[derive(Debug)]
-struct Known {
+struct DriveReports {
     fault_names: FaultNames,
     fault: u32,
-    /// Its axis is stopped for another master.
+    /// The axis is stopped for another master.
     other_master: bool,
     /// Why it had no connection since it was online.
     apart: Vec<Apart>,
@@ -304,9 +304,9 @@ struct Apart {
     reported: bool,
 }
 
-impl Known {
-    fn new(fault_names: FaultNames) -> Known {
-        Known { fault_names, fault: 0, other_master: false, apart: Vec::new() }
+impl DriveReports {
+    fn new(fault_names: FaultNames) -> DriveReports {
+        DriveReports { fault_names, fault: 0, other_master: false, apart: Vec::new() }
     }
 
     /// A reason that stands: each once, however often it is tried.
@@ -329,7 +329,7 @@ impl Known {
         Some(why)
     }
 
-    /// Its fault, if it is another one.
+    /// The fault, if it is another one.
     fn other_master(&mut self, stopped: Option<StopCause>) -> Option<String> {
         let other = stopped == Some(StopCause::OtherMaster);
         let before = std::mem::replace(&mut self.other_master, other);
@@ -366,7 +366,7 @@ pub fn serve(master: &Master, station: Option<Station>) -> Result<Server, String
     Server::start(&path, move || helper_thread(core), open).map_err(|error| error.to_string())
 }
 
-/// What another process asks this master.
+/// The questions of other processes to this master.
 struct Conversation {
     monitor: Monitor,
     config: Option<PathBuf>,
@@ -439,7 +439,7 @@ mod tests {
 
     #[test]
     fn a_reason_that_stands_is_reported_once_until_the_drive_was_online() {
-        let mut known = Known::new(|_| None);
+        let mut known = DriveReports::new(|_| None);
         let mut now = Instant::now();
         let mut reported = |link, why: Option<&str>, wait: Duration| {
             now += wait;
@@ -468,7 +468,7 @@ mod tests {
 
     #[test]
     fn a_fault_is_reported_by_its_name_when_it_comes_changes_and_goes() {
-        let mut known = Known::new(|code| (code == 30).then_some("watchdog"));
+        let mut known = DriveReports::new(|code| (code == 30).then_some("watchdog"));
         let reported: Vec<_> = [0, 30, 30, 7, 0, 0].into_iter().map(|code| known.fault(code)).collect();
         let text: Vec<_> = reported.iter().map(Option::as_deref).collect();
         let expected = [

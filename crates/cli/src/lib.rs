@@ -51,7 +51,7 @@ use nix::sys::resource::{Resource, getrlimit, setrlimit};
 /// With the commit that it was built from, where that is known.
 const VERSION: &str = env!("FIELDBEAT_VERSION");
 
-/// What it is, in the help and in the manual page.
+/// The description in the help and in the manual page.
 const ABOUT: &str = "Hard-real-time cyclic master for servo drives: one pinned SCHED_FIFO loop, many drives, \
      measured latency";
 

@@ -12,9 +12,9 @@ use super::Stop;
 /// A master that runs.
 #[derive(Debug)]
 pub struct Running {
-    /// Its control socket.
+    /// The control socket.
     pub path: PathBuf,
-    /// Its answer to the first request.
+    /// The answer to the first request.
     pub status: Value,
 }
 
@@ -35,7 +35,7 @@ impl Running {
         name.starts_with("demo") && config.is_none_or(|config| config.starts_with(DEMO_FILE))
     }
 
-    /// What it is the master of, and its process.
+    /// The machine of the master, and its process.
     fn name(&self) -> String {
         let config = self.status["config"].as_str().unwrap_or("the demo");
         format!("{config} (pid {})", self.status["pid"])
@@ -59,7 +59,7 @@ impl Wanted<'_> {
         }
     }
 
-    /// What to say where none was found.
+    /// The message where none was found.
     pub fn missing(self) -> String {
         if let (None, (_, Some(error))) = (self.pid, answering(&place::find(self.config))) {
             return error.to_string();

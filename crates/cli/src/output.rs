@@ -175,7 +175,7 @@ pub fn judge_end(run: &Run) -> Result<(), Stop> {
     }
 }
 
-/// What `work` returns, if it does within `limit`; it is left to itself otherwise, up to the end of the process.
+/// The result of `work`, if it returns within `limit`; it is left to itself otherwise, up to the end of the process.
 fn within<R: Send + 'static>(limit: Duration, work: impl FnOnce() -> R + Send + 'static) -> Option<R> {
     let (done, result) = mpsc::channel();
     let thread = std::thread::Builder::new().name("fb-report".into()).spawn(move || {
@@ -185,7 +185,7 @@ fn within<R: Send + 'static>(limit: Duration, work: impl FnOnce() -> R + Send + 
     thread.ok().and_then(|_| result.recv_timeout(limit).ok())
 }
 
-/// What both have to say.
+/// The messages of both.
 pub fn both(one: Result<(), Stop>, other: Result<(), Stop>) -> Result<(), Stop> {
     match (one, other) {
         (Err(one), Err(other)) => {
@@ -200,7 +200,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_hangs_is_waited_for_only_so_long() {
+    fn a_hanging_output_is_waited_for_up_to_a_limit() {
         let (release, hangs) = mpsc::channel::<()>();
         assert_eq!(within(Duration::from_millis(20), move || hangs.recv().is_ok()), None);
         drop(release);

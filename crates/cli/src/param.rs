@@ -4,7 +4,7 @@ mod list;
 
 use clap::{Args, Subcommand};
 use fieldbeat_core::axis::acyclic::Notation;
-use fieldbeat_core::axis::{CallError, NotationError, ParameterError, Request};
+use fieldbeat_core::axis::{CallError, NotationError, ParameterAccess, ParameterError};
 use fieldbeat_tools::Drive;
 use serde_json::{Value, json};
 
@@ -17,11 +17,11 @@ use list::List;
 #[derive(Debug, Args)]
 pub struct Param {
     #[command(subcommand)]
-    what: What,
+    what: ParamCommand,
 }
 
 #[derive(Debug, Subcommand)]
-enum What {
+enum ParamCommand {
     /// Reads a parameter, or several of a Unidrive in one request.
     Get(Get),
     /// Writes a parameter and reads it back, or several of a Unidrive in one request.
@@ -30,9 +30,9 @@ enum What {
     List(List),
 }
 
-/// What is wrong with an address, or with its value.
+/// The mistake in an address, or in its value.
 fn wrong(drive: &Drive, access: &'static str, address: &str) -> impl Fn(NotationError) -> Stop {
-    let request = Request { access, ..Request::read(&drive.drive, address) };
+    let request = ParameterAccess { access, ..ParameterAccess::read(&drive.drive, address) };
     move |error| failed(ParameterError::Notation { request: Box::new(request.clone()), error })
 }
 
@@ -78,9 +78,9 @@ impl Param {
     pub fn run(self) -> Result<(), Stop> {
         let interrupt = Interrupt::catch().map_err(Stop::failed)?;
         match self.what {
-            What::Get(get) => get.run(&interrupt),
-            What::Set(set) => set.run(&interrupt),
-            What::List(list) => list.run(&interrupt),
+            ParamCommand::Get(get) => get.run(&interrupt),
+            ParamCommand::Set(set) => set.run(&interrupt),
+            ParamCommand::List(list) => list.run(&interrupt),
         }
     }
 }
@@ -201,7 +201,8 @@ impl Set {
     }
 }
 
-/// What is no address and no number is a mistake of whoever wrote it; the rest is the drive's, or would be.
+/// The end of the program: an address or a number that is none is a mistake of its user; the rest is the drive's, or
+/// would be.
 fn failed(error: ParameterError) -> Stop {
     match error {
         ParameterError::Notation {

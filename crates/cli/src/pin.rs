@@ -27,7 +27,7 @@ pub struct Pin {
     write: bool,
 }
 
-/// What is found of one bus.
+/// The search of one bus.
 struct Search<'a> {
     protocol: &'static Protocol,
     axes: Vec<&'a AxisPlan>,
@@ -131,7 +131,7 @@ impl Search<'_> {
         Ok(())
     }
 
-    /// What is found at the places of these drives.
+    /// The findings at the places of these drives.
     fn found(
         &self,
         index: usize,

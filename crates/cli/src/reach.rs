@@ -65,7 +65,7 @@ impl Reach {
         matches!(self.way, Way::Alone { .. })
     }
 
-    /// Its name.
+    /// The name.
     pub fn drive(&self) -> &str {
         &self.drive
     }
@@ -75,7 +75,7 @@ impl Reach {
         &*self.notation
     }
 
-    /// Its parameters.
+    /// The parameters.
     pub fn access(&self) -> Access<'_> {
         Access { drive: &self.drive, notation: &*self.notation, carrier: self.carrier() }
     }

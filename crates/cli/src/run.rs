@@ -151,7 +151,7 @@ fn stopped(summary: &Summary) -> Option<String> {
     Some(format!("stopped: {axes}; {remedy}, and `reset` ends it"))
 }
 
-/// What the host took from the loop, if that may have cost a drive: a hundredth of the run, or more.
+/// The time that the host took from the loop, if that may have cost a drive: a hundredth of the run, or more.
 pub fn host_took(summary: &Summary) -> Option<String> {
     let run_ms = summary.cycle.planned * summary.cycle.period_ns / MS;
     let (others_ms, steal_ms) = (summary.host.taken_ms, summary.host.steal_ms.unwrap_or(0));

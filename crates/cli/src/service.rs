@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 use fieldbeat_master::Master;
 use sd_notify::{NotifyState, notify, watchdog_enabled};
 
-/// What systemd is notified of (sd_notify(3)). Elsewhere nobody listens, and that is all.
+/// The notifications to systemd (sd_notify(3)). Elsewhere nobody listens, and that is all.
 #[derive(Debug)]
 pub struct Service {
     /// How often it wants to be fed: in half of its time-out.

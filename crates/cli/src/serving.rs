@@ -70,7 +70,7 @@ pub struct Served {
 pub struct Servers {
     _metrics: Option<Server>,
     _scope: scope::Held,
-    /// Its directory stays if there is a file in it.
+    /// The directory stays if there is a file in it.
     _black_box: Option<Place>,
 }
 

@@ -30,7 +30,7 @@ pub struct Status {
 }
 
 impl Status {
-    /// Asks.
+    /// Requests the status.
     pub fn run(self) -> Result<(), Stop> {
         if let Some(config) = self.config.as_ref().filter(|config| !config.exists()) {
             let why =
@@ -99,8 +99,8 @@ fn pause(text: &str) -> Result<Duration, String> {
     Ok(pause)
 }
 
-/// What draws `text` over the one before, on a terminal of so many rows. It never scrolls: what has no room is left
-/// out, and the cursor has the last row.
+/// The codes that draw `text` over the one before, on a terminal of `rows` rows. It never scrolls: what has no room is
+/// left out, and the cursor has the last row.
 fn screen(text: &str, rows: u16) -> String {
     let room = usize::from(rows).saturating_sub(1).max(1);
     let mut lines: Vec<&str> = text.lines().collect();
@@ -137,7 +137,7 @@ mod tests {
     }
 
     #[test]
-    fn nobody_asks_without_a_pause() {
+    fn an_empty_search_pauses_between_requests() {
         assert_eq!(pause("100ms"), Ok(SHORTEST_PAUSE));
         for short in ["0s", "1ns", "99ms"] {
             assert!(pause(short).is_err_and(|why| why.contains("100ms or more")), "{short}");

@@ -14,7 +14,7 @@ macro_rules! named {
             /// All of them, in the order of their numbers.
             pub const ALL: [$Name; [$($number),+].len()] = [$($Name::$Value),+];
 
-            /// Its name in messages and reports.
+            /// The name in messages and reports.
             pub const fn name(self) -> &'static str {
                 match self { $($Name::$Value => $text,)+ }
             }

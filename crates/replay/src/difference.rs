@@ -5,7 +5,7 @@ use std::fmt;
 use fieldbeat_core::bus::BusPlan;
 use fieldbeat_core::cycle::Plan;
 use fieldbeat_core::inputs::entry::Kind;
-use fieldbeat_core::inputs::replaying::{self, What};
+use fieldbeat_core::inputs::replaying::{self, Mismatch};
 
 /// The first difference of a repeated run to the recorded one. Its text names the cycle and, where one is known, the
 /// drive.
@@ -71,29 +71,29 @@ impl Difference {
             None => format!("bus {}", bus(place).map_or("?", BusPlan::name)),
         };
         let (drive, telegrams, text) = match what {
-            What::Sent { bus, index, recorded, repeated } => {
+            Mismatch::Sent { bus, index, recorded, repeated } => {
                 let telegrams = Telegrams { recorded, repeated };
                 let drive = drive_of(bus, index, &telegrams.recorded, telegrams.first());
                 let text = format!("{}: another telegram: {telegrams}", of(bus, &drive));
                 (drive, Some(telegrams), text)
             }
-            What::More { bus, index } => {
+            Mismatch::More { bus, index } => {
                 let drive = drive_of(bus, index, &[], 0);
                 let text = format!("{}: a telegram is sent that is not recorded", of(bus, &drive));
                 (drive, None, text)
             }
-            What::Fewer { bus, index } => {
+            Mismatch::Fewer { bus, index } => {
                 let drive = drive_of(bus, index, &[], 0);
                 let text = format!("{}: a telegram is recorded that is not sent", of(bus, &drive));
                 (drive, None, text)
             }
-            What::Look { recorded, repeated } => {
+            Mismatch::Look { recorded, repeated } => {
                 let name = |kind: Option<Kind>| kind.map_or("nothing more", Kind::name);
                 let (repeated, recorded) = (name(repeated), name(recorded));
                 (None, None, format!("the loop looks for {repeated}, recorded is {recorded}"))
             }
-            What::Task => (None, None, "the in-loop task requests something else".into()),
-            What::Broken => (None, None, "the log is broken there: record it again".into()),
+            Mismatch::Task => (None, None, "the in-loop task requests something else".into()),
+            Mismatch::Broken => (None, None, "the log is broken there: record it again".into()),
         };
         Difference { cycle, drive, telegrams, text }
     }

@@ -19,7 +19,7 @@ use fieldbeat_master::{Assembly, assemble};
 pub enum TaskOf {
     /// The recorded run had none.
     Nobody,
-    /// What the recorded one requested is requested again.
+    /// The requests of the recorded run are made again.
     Log,
     /// This code runs, and what it requests is compared.
     Code(Task),

@@ -62,7 +62,7 @@ pub enum ReplayError {
         /// The layout of its log.
         layout: String,
     },
-    /// Its configuration is none for this version.
+    /// The configuration is none for this version.
     #[error("{path}: the configuration in it is not one of this version: {why}")]
     Configuration {
         /// The file.
@@ -286,7 +286,7 @@ fn other(recorded: &str, here: &str) -> Option<String> {
     }
 }
 
-/// What the file holds of the log.
+/// The parts of the log in the file.
 enum Piece {
     Begin(Begin),
     Words(Vec<u64>),
@@ -310,7 +310,7 @@ impl Log {
         Log { records, has_begun: false, channel: None, sequence: 0 }
     }
 
-    /// Its words. How it ends is in `end` afterwards.
+    /// The words. How it ends is in `end` afterwards.
     fn source(mut self, end: SharedEnd) -> Source {
         Box::new(move || {
             loop {

@@ -5,7 +5,7 @@ use fieldbeat_testing::runs::damage::mutations;
 
 /// The record of a failure in the field, changed.
 #[test]
-fn whatever_is_changed_in_a_file_its_replay_says_so() {
+fn any_change_of_a_file_is_reported_by_its_replay() {
     let record = std::fs::read("../../tests/records/lost.mcap").unwrap();
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("x.mcap");

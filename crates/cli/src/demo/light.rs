@@ -28,9 +28,9 @@ pub struct Light {
     begun: Instant,
     written: u64,
     seen: u64,
-    /// What was written last and is not seen yet, and since when it could be.
+    /// The value that was written last and is not seen yet, and since when it could be.
     awaited: Option<(u8, Instant)>,
-    /// What was seen last.
+    /// The value that was seen last.
     shown: u8,
     /// A pattern was not seen in time.
     lost: bool,

@@ -35,9 +35,9 @@ const RAMP: Duration = Duration::from_millis(250);
 pub struct Show {
     pub master: Master,
     pub axes: Vec<Axis>,
-    /// So many of them, the first ones, follow streams.
+    /// The number of them, the first ones, that follow streams.
     pub streamers: usize,
-    /// So many, those included, take positions; the others velocities only.
+    /// The number of them, those included, that take positions; the others take velocities only.
     pub movers: usize,
     /// All that is shown has ended by then.
     pub end: Instant,
@@ -61,7 +61,7 @@ pub fn was_stopped(error: &Error) -> bool {
     }
 }
 
-/// What can go wrong in the show.
+/// The errors of the show.
 #[derive(Debug, thiserror::Error)]
 pub enum Error {
     #[error(transparent)]

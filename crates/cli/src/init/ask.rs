@@ -11,7 +11,7 @@ pub struct Answers {
     /// Lines as they are typed; `None`: every default is taken.
     lines: Option<Receiver<String>>,
     interrupt: Interrupt,
-    /// What is typed does not show: it is printed.
+    /// The typed text does not show: it is printed.
     echoes: bool,
 }
 

@@ -16,7 +16,7 @@ const WIDTH: usize = 100;
 pub struct Block {
     /// `cycle`, `bus` or `bus.drive`.
     pub path: &'static str,
-    /// Its keys with their values in TOML, in order.
+    /// The keys with their values in TOML, in order.
     pub lines: Vec<(String, String)>,
 }
 
@@ -26,14 +26,14 @@ impl Block {
         Block { path, lines: Vec::new() }
     }
 
-    /// What stands at a key, without quotes.
+    /// The value of a key, without quotes.
     pub fn answer(&self, key: &str) -> Option<String> {
         let (_, value) = self.lines.iter().find(|(known, _)| known == key)?;
         Some(serde_json::from_str::<String>(value).unwrap_or_else(|_| value.clone()))
     }
 }
 
-/// What is known of the keys of one protocol, and the tables so far.
+/// The schema of the keys of one protocol, and the tables so far.
 pub struct Draft {
     schema: Value,
     protocol: &'static str,
@@ -47,7 +47,7 @@ impl Draft {
         Draft { schema: schema(), protocol, head, blocks: Vec::new() }
     }
 
-    /// What the schema says of a key.
+    /// The schema's entry of a key.
     fn stated(&self, path: &str, key: &str) -> Option<&Value> {
         let (table, path) = match path.split_once('.') {
             None if path == "bus" => (format!("/definitions/{}", self.protocol), ""),
@@ -116,7 +116,7 @@ impl Draft {
         (lines.join("\n") + "\n", places)
     }
 
-    /// What the reader says of the newest key; none if it takes it. A mistake of a key that is not there belongs to one
+    /// The reader's mistake in the newest key; none if it takes it. A mistake of a key that is not there belongs to one
     /// of its table if that is the remedy.
     pub fn newest_mistake(&self) -> Option<String> {
         let (text, places) = self.render();
@@ -131,7 +131,7 @@ impl Draft {
         mistakes.iter().find(is_its).map(|mistake| mistake.message.clone())
     }
 
-    /// What the reader says of the whole, a line each, with `file` as its name.
+    /// The reader's mistakes in the whole, a line each, with `file` as its name.
     pub fn mistakes(&self, file: &str) -> Option<String> {
         config::parse(&self.render().0, file).err().map(|mistakes| mistakes.to_string())
     }

@@ -5,7 +5,7 @@
 //! | `ask` | questions at the terminal, answers from a pipe, defaults |
 //! | `draft` | the file as far as it is answered, its comments, and what the reader says of it |
 //!
-//! Which keys are asked for stands in the outline of each protocol; [`common`] has those of every drive.
+//! The outline of each protocol lists its keys; [`common`] has those of every drive.
 
 mod ask;
 mod draft;
@@ -24,7 +24,7 @@ use self::ask::Answers;
 use self::draft::{Block, Draft};
 use super::Stop;
 
-/// The most drives that are asked for.
+/// The most drives of a bus.
 const MOST_DRIVES: usize = 128;
 /// The longest period that is tried where the usual one does not do.
 const LONGEST_MS: u64 = 512;
@@ -86,7 +86,7 @@ fn of_unit(known: &Known<'_>, mm: &str, rev: &str) -> Option<String> {
     Some(if (known.answer)("units").as_deref() == Some("mm") { mm } else { rev }.to_owned())
 }
 
-/// So many times an answer that is a number.
+/// `factor` times an answer that is a number.
 fn times(known: &Known<'_>, key: &str, factor: f64) -> Option<String> {
     let answer: f64 = (known.answer)(key)?.parse().ok()?;
     Some((factor * answer).to_string())
@@ -215,7 +215,7 @@ impl<'a> Interview<'a> {
         newest.or_else(|| self.draft.blocks[1].answer(key))
     }
 
-    /// Asks for a key of the newest table until the reader takes the answer.
+    /// Prompts for a key of the newest table until the reader takes the answer.
     fn line(&mut self, line: &Line, index: usize) -> Result<(), Stop> {
         if line.only_if.is_some_and(|(key, value)| self.known(key).as_deref() != Some(value)) {
             return Ok(());
@@ -311,7 +311,7 @@ impl<'a> Interview<'a> {
             self.name(index)?;
             let given = given.map_or(&[][..], |found| found.lines.as_slice());
             for line in self.outline.drive {
-                self.given_or_asked(line, given, index)?;
+                self.given_or_prompted(line, given, index)?;
             }
             self.found(given)?;
             self.shared(given, index)?;
@@ -337,8 +337,8 @@ impl<'a> Interview<'a> {
         self.line(&NAMES, index)
     }
 
-    /// What was found is taken as it is, and asked for only where the reader does not take it.
-    fn given_or_asked(
+    /// A found value is taken as it is; the user is prompted only where the reader refuses it.
+    fn given_or_prompted(
         &mut self,
         line: &Line,
         given: &[(&'static str, String)],
@@ -353,11 +353,11 @@ impl<'a> Interview<'a> {
         self.line(line, index)
     }
 
-    /// What else was found: by what the drive is known from others.
+    /// The other found values: by them the drive is known from others.
     fn found(&mut self, given: &[(&'static str, String)]) -> Result<(), Stop> {
         let lines = self.outline.drive.iter().chain(self.outline.behind);
-        let asked: Vec<&str> = lines.map(|line| line.key).collect();
-        for (key, value) in given.iter().filter(|(key, _)| !asked.contains(key)) {
+        let prompted: Vec<&str> = lines.map(|line| line.key).collect();
+        for (key, value) in given.iter().filter(|(key, _)| !prompted.contains(key)) {
             if let Some(why) = self.take(key, value) {
                 self.answers.say(&format!("  {key} = {value}: {why}"))?;
             }
@@ -365,7 +365,7 @@ impl<'a> Interview<'a> {
         Ok(())
     }
 
-    /// What drives may have in common: that of the drive before, if it is wanted again.
+    /// The common settings of drives: that of the drive before, if it is wanted again.
     fn shared(&mut self, given: &[(&'static str, String)], index: usize) -> Result<(), Stop> {
         let shared: Vec<Line> =
             common(self.outline.unit).iter().chain(self.outline.behind).copied().collect();
@@ -387,7 +387,7 @@ impl<'a> Interview<'a> {
             return Ok(());
         }
         for line in &shared {
-            self.given_or_asked(line, given, index)?;
+            self.given_or_prompted(line, given, index)?;
         }
         Ok(())
     }

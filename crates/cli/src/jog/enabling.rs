@@ -205,7 +205,7 @@ mod tests {
     }
 
     #[test]
-    fn it_is_held_from_its_press_to_its_release() {
+    fn enabling_key_is_held_from_its_press_to_its_release() {
         let (hand, mut device) = Hand::device(&[]);
         assert_eq!(device.look(), Enabling::Released);
         hand.key(BUTTON, true);
@@ -231,7 +231,7 @@ mod tests {
     }
 
     #[test]
-    fn a_release_that_nobody_reports_counts_too() {
+    fn an_unreported_key_release_counts_too() {
         // Another program took the device for itself; or its queue was full.
         let (hand, mut device) = Hand::device(&[]);
         assert_eq!(device.look(), Enabling::Released);
@@ -250,7 +250,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_tied_down_or_runs_the_axis_enables_nothing() {
+    fn a_stuck_key_or_a_run_key_is_no_enabling_key() {
         let (hand, mut device) = Hand::device(&[PEDAL]);
         for _ in 0..3 {
             assert_eq!(device.look(), Enabling::Released);

@@ -35,7 +35,7 @@ pub enum Way {
     Back,
 }
 
-/// What the terminal reports of a run key.
+/// The terminal's reports of a run key.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stroke {
     /// It went down; or it repeats, where the terminal does not report that.
@@ -177,7 +177,7 @@ mod tests {
         hold
     }
 
-    /// What counts as held right after each of these presses, of a terminal that reports nothing else.
+    /// The key that counts as held right after each of these presses, of a terminal that reports nothing else.
     fn presses(at: &[u64]) -> Vec<bool> {
         let mut hold = Hold::new(false);
         let press = |at: &u64| {
@@ -217,7 +217,7 @@ mod tests {
     }
 
     #[test]
-    fn what_ended_a_hold_has_to_be_let_go_and_the_other_key_ends_it_too() {
+    fn a_key_that_ended_a_hold_has_to_be_released_and_the_other_key_ends_it_too() {
         for (has_releases, by_other_key) in [(false, false), (false, true), (true, false), (true, true)] {
             let mut hold = shown(has_releases);
             let repeat = if has_releases { Stroke::Repeat } else { Stroke::Down };

@@ -47,7 +47,7 @@ impl Command {
     }
 }
 
-/// What its operator is called by.
+/// The name of its operator.
 const COMMAND: &str = "jog";
 
 /// Arguments of `jog`.
@@ -281,7 +281,7 @@ impl Operation<'_> {
         Ok(())
     }
 
-    /// What is refused is shown, and has stopped everything; other failures end the panel.
+    /// Shows a refusal, which has stopped everything; other failures end the panel.
     fn note(&mut self, panel: &mut Panel, done: Result<(), OperateError>) -> Result<(), Stop> {
         match done {
             Err(OperateError::Refused(why)) => {

@@ -23,9 +23,9 @@ const MOST_LINES: usize = 200;
 /// The panel.
 #[derive(Debug)]
 pub struct Panel {
-    /// What is operated, for the first line.
+    /// The operated machine, for the first line.
     pub title: String,
-    /// What the axes are.
+    /// The facts of the axes.
     pub facts: Vec<AxisFacts>,
     /// How they are.
     pub state: OperationState,
@@ -34,7 +34,7 @@ pub struct Panel {
     /// The velocity of jogs and steps of each axis, and the distance of its steps, in user units.
     pub velocities: Vec<f64>,
     pub steps: Vec<f64>,
-    /// What happened, oldest first.
+    /// The notices, oldest first.
     pub lines: VecDeque<String>,
     /// The answer to the last key.
     pub message: Option<String>,
@@ -51,7 +51,7 @@ pub struct Panel {
     noticed: u64,
 }
 
-/// What is to be done.
+/// The actions of the panel.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Want {
     /// A command to an axis.
@@ -122,7 +122,7 @@ impl Panel {
         }
     }
 
-    /// What ended or refused a motion: the run key has to be let go.
+    /// Ends the hold for the reason that ended or refused a motion: the run key has to be released.
     pub fn end_hold(&mut self, now: Duration, why: Option<String>) {
         self.hold.end(now);
         if why.is_some() {
@@ -273,7 +273,7 @@ impl Panel {
         vec![Want::Stop]
     }
 
-    /// What a key commands while nothing is under way; `None`: nothing.
+    /// The commands of a key while nothing is under way; `None`: nothing.
     fn command(&mut self, code: KeyCode) -> Option<Vec<Want>> {
         let index = self.selected;
         let (facts, state) = self.axis();

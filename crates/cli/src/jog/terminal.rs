@@ -45,11 +45,11 @@ pub fn require() -> Result<(), Stop> {
 
 /// The terminal while the panel has it.
 pub struct Terminal {
-    /// What is drawn on. Never dropped: it would complain on a standard error that is gone, which is a panic.
+    /// The screen. Never dropped: it would complain on a standard error that is gone, which is a panic.
     pub screen: ManuallyDrop<Screen<CrosstermBackend<Stdout>>>,
     /// It says that it reports keys that go up.
     pub has_releases: bool,
-    /// What it reports, each with when it was read.
+    /// The reported events, each with when it was read.
     pub events: Receiver<(Instant, Event)>,
     _taken: Taken,
 }

@@ -74,7 +74,7 @@ fn character(panel: &mut Panel, which: char) -> Vec<Want> {
     press(panel, Duration::from_secs(10), KeyCode::Char(which))
 }
 
-/// What is drawn on so many cells, a line each.
+/// The drawn cells, a line each.
 fn drawn(panel: &Panel, width: u16, height: u16) -> Vec<String> {
     let mut terminal = Terminal::new(TestBackend::new(width, height)).unwrap();
     terminal.draw(|frame| view::draw(frame, panel)).unwrap();
@@ -242,7 +242,7 @@ fn while_something_runs_every_key_stops_it() {
 }
 
 #[test]
-fn what_cannot_be_is_answered_by_the_panel_itself() {
+fn impossible_commands_are_refused_by_the_panel_itself() {
     let mut panel = panel(&["x"], false);
     let message = |panel: &mut Panel, which| {
         assert_eq!(character(panel, which), [], "{which}");

@@ -39,11 +39,11 @@ impl CommandId {
 /// One command on its way to the loop.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct QueuedCommand {
-    /// Its id, assigned on submission.
+    /// The id, assigned on submission.
     pub id: CommandId,
     /// The place of its axis in the machine.
     pub member: u32,
-    /// What to do.
+    /// The command itself.
     pub command: Command,
     /// For [`Command::Follow`]: which stream.
     pub stream: u32,
@@ -141,7 +141,7 @@ pub enum Command {
     Native(NativeOwner),
 }
 
-/// What cyclic setpoints are.
+/// The meaning of cyclic setpoints.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Level {
     /// Velocities, user units/s.
@@ -154,7 +154,7 @@ impl Level {
     /// All of them.
     pub const ALL: [Level; 2] = [Level::Velocity, Level::Torque];
 
-    /// Its name in messages.
+    /// The name in messages.
     pub fn name(self) -> &'static str {
         if self == Level::Velocity { "velocity" } else { "torque" }
     }
@@ -180,9 +180,9 @@ pub enum NativeOwner {
 /// A move along a profile.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Move {
-    /// Its target.
+    /// The target.
     pub target: Target,
-    /// Its profile.
+    /// The profile.
     pub profile: Profile,
 }
 
@@ -448,7 +448,7 @@ impl Command {
         "torque",
     ];
 
-    /// Its number in records, from 1.
+    /// The number in records, from 1.
     pub fn code(&self) -> u8 {
         match self {
             Command::Enable => 1,
@@ -467,7 +467,7 @@ impl Command {
         }
     }
 
-    /// Its name in events and messages.
+    /// The name in events and messages.
     pub fn name(&self) -> &'static str {
         Command::NAMES[usize::from(self.code())]
     }

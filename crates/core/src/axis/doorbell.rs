@@ -55,7 +55,7 @@ impl Bells {
         Bells { words, rung: vec![0; count].into(), any_rung: false, log: InputLog::default() }
     }
 
-    /// What is taken is in this log.
+    /// The log that records taken bells.
     pub fn logged(mut self, log: &InputLog) -> Bells {
         self.log = log.source();
         self

@@ -15,7 +15,7 @@ pub struct Event {
     pub cycle: u64,
     /// When the loop noticed it.
     pub at: Time,
-    /// What.
+    /// The kind of event.
     pub kind: EventKind,
     /// Which axis began the stop, and why, if this is one of [`StopCause::Group`], or a command that ended by it.
     pub begun_by: Option<BegunBy>,
@@ -24,7 +24,7 @@ pub struct Event {
 /// A drive's own report of an error, or of the error's end: an emergency (CiA 301).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Emergency {
-    /// Its error code, named like the faults of the drive's protocol; 0 = an error is over.
+    /// The error code, named like the faults of the drive's protocol; 0 = an error is over.
     pub code: u16,
     /// The error register of the drive, 1001h.
     pub register: u8,
@@ -40,17 +40,17 @@ impl Emergency {
     }
 }
 
-/// What can happen to an axis.
+/// The kinds of events of an axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub enum EventKind {
     /// A command ended.
     Ended {
-        /// Its id.
+        /// The id.
         id: CommandId,
         /// The command's name.
         command: &'static str,
-        /// Its end.
+        /// The end.
         outcome: Outcome,
     },
     /// The link changed.

@@ -117,7 +117,7 @@ named! {
         LoopStuck = 24: "loop stuck",
         /// It did not follow its demand.
         FollowingError = 25: "following error",
-        /// Its reported position jumped farther than the axis can have moved: its encoder or its drive has lost it.
+        /// The reported position jumped farther than the axis can have moved: its encoder or its drive has lost it.
         PositionJump = 26: "position jumped",
     }
 }
@@ -133,7 +133,7 @@ impl StopCause {
 /// The axis that began the stop of a stop group, and why that axis was stopped.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct BegunBy {
-    /// Its index in the machine, in the order of the plan.
+    /// The index in the machine, in the order of the plan.
     pub axis: u16,
     /// Why it was stopped.
     pub cause: StopCause,
@@ -200,7 +200,7 @@ impl fmt::Display for Fault<'_> {
     }
 }
 
-/// What a drive reported last, in user units.
+/// The last report of a drive, in user units.
 ///
 /// The order of the fields keeps together what is copied and compared in each cycle.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -240,7 +240,7 @@ pub struct DriveStatus {
 }
 
 impl DriveStatus {
-    /// What is reported when it changes is the same in another report.
+    /// True if the values that are reported on change are the same in another report.
     #[inline]
     pub(crate) fn shows(&self, other: &DriveStatus) -> bool {
         (self.warning, self.fault, self.state, self.sto_open)
@@ -296,7 +296,7 @@ pub struct Feedback {
     pub link: Link,
     /// The latch: why the master stopped this axis.
     pub stopped: Option<StopCause>,
-    /// What the drive reported last.
+    /// The last report of the drive.
     pub status: DriveStatus,
     /// Which axis began that stop, and why, if this one was stopped with its stop group.
     pub begun_by: Option<BegunBy>,
@@ -350,7 +350,7 @@ impl Shown {
 }
 
 impl Feedback {
-    /// Its status is older by so many cycles.
+    /// The status is older by so many cycles.
     #[inline]
     pub(crate) fn grow_older(&mut self, cycles: u64) {
         self.age = self.age.saturating_add(u32::try_from(cycles).unwrap_or(u32::MAX));
@@ -384,7 +384,7 @@ impl Feedback {
         cell.write(self);
     }
 
-    /// Its words but for the monitored values and who began its stop; `shown` has a bit for each of these that there
+    /// The words but for the monitored values and who began its stop; `shown` has a bit for each of these that there
     /// is. What is one byte stands as it lies in memory, so that it is copied by the word.
     #[inline]
     fn first_words(&self, shown: u8) -> [u64; 10] {
@@ -466,7 +466,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_fault_is_told_in_both_notations_with_its_name_if_it_has_one() {
+    fn a_fault_is_shown_in_both_notations_with_its_name_if_it_has_one() {
         let names: FaultNames = |code| (code == 30).then_some("watchdog");
         let reported = [0, 30, 999].map(|code| Fault::new(code, names).to_string());
         assert_eq!(reported, ["none", "0x001e (30, watchdog)", "0x03e7 (999)"]);

@@ -28,7 +28,7 @@ pub struct Group {
 /// One command to each member, in the order of the group.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct GroupCommand {
-    /// Its name in messages.
+    /// The name in messages.
     command: &'static str,
     ids: Vec<CommandId>,
 }

@@ -73,7 +73,7 @@ impl Iterator for Samples {
 #[derive(Debug)]
 pub struct Axis {
     plan: AxisPlan,
-    /// Its index in the machine.
+    /// The index in the machine.
     index: usize,
     /// The names of all axes of the machine.
     names: Arc<[String]>,
@@ -116,7 +116,7 @@ pub struct AxisEnds {
     pub native: Option<Box<dyn Any + Send>>,
     /// The protocol's names for the fault codes of its drives.
     pub faults: FaultNames,
-    /// What the drive does not do.
+    /// The capabilities that the drive lacks.
     pub lacks: Lacks,
 }
 
@@ -153,7 +153,7 @@ pub enum AxisError {
         axis: String,
         /// The command.
         command: &'static str,
-        /// Its end.
+        /// The end.
         outcome: Outcome,
         /// The protocol's name for the fault of the drive, if that is the reason.
         fault: Option<&'static str>,
@@ -196,10 +196,10 @@ fn text_of(outcome: Outcome, fault: Option<&str>, begun_by: Option<&(String, Sto
     }
 }
 
-/// What a loop that is stuck means.
+/// The message of a loop that is stuck.
 pub const STUCK: &str = "the loop is stuck: its cycle has not ended within watch_after (or \
      guardian_after), and the wires were taken from it";
-/// What to do about it.
+/// The remedy for it.
 pub const STUCK_REMEDY: &str = "look at the drives and at what holds the loop's thread up (the in-loop task, \
      a driver of the host, a debugger), and start the program again";
 
@@ -242,7 +242,7 @@ impl Axis {
         }
     }
 
-    /// Its index in the machine, in the order of the plan.
+    /// The index in the machine, in the order of the plan.
     pub fn index(&self) -> usize {
         self.index
     }
@@ -252,17 +252,17 @@ impl Axis {
         self.pulse.is_same(&other.pulse)
     }
 
-    /// Its name.
+    /// The name.
     pub fn name(&self) -> &str {
         &self.plan.name
     }
 
-    /// Its plan.
+    /// The plan.
     pub fn plan(&self) -> &AxisPlan {
         &self.plan
     }
 
-    /// What its drive does not do.
+    /// The capabilities that its drive lacks.
     #[doc(hidden)]
     pub fn lacks(&self) -> &Lacks {
         &self.ends.lacks
@@ -416,7 +416,7 @@ impl Axis {
         Ok(())
     }
 
-    /// Its part of so many setpoints of one set, for command `of`.
+    /// The axis's part of a set of `parts` setpoints, for command `of`.
     pub(super) fn setpoint(&mut self, of: CommandId, value: f64, parts: usize) -> Setpoint {
         self.setpoints += 1;
         let (member, parts, number) = (self.index as u32, parts as u32, self.setpoints);
@@ -454,7 +454,7 @@ impl Axis {
         Ok(())
     }
 
-    /// Its part of a row of so many members for a queue, if its numbers are within the limits.
+    /// The axis's part of a row of `parts` members for a queue, if its numbers are within the limits.
     pub(super) fn row(&self, row: Row, parts: usize) -> Result<StreamRow, AxisError> {
         check_row(&self.plan, &row, self.streams.before).map_err(|failure| self.refused("row", failure))?;
         let (member, parts) = (self.index as u32, parts as u32);
@@ -622,7 +622,7 @@ impl Axis {
         }
     }
 
-    /// What `event` says of `command`, of which it is the end.
+    /// The text of `event`, the end of `command`.
     #[doc(hidden)]
     pub fn verdict(&self, command: &'static str, event: &Event) -> Result<(), AxisError> {
         let EventKind::Ended { outcome, .. } = event.kind else { return Ok(()) };
@@ -698,7 +698,7 @@ impl Axis {
     }
 }
 
-/// Its last setpoint says that the axis has no owner any more. The bell orders it behind all that was posted before.
+/// The last setpoint says that the axis has no owner any more. The bell orders it behind all that was posted before.
 impl Drop for Axis {
     fn drop(&mut self) {
         let last = self.setpoint(CommandId::NO_OWNER, 0.0, 1);

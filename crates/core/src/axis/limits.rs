@@ -7,7 +7,7 @@ use super::plan::{AxisPlan, Limits, Load};
 /// Why a drive does not do something, with the remedy; `None`: it does.
 pub type Cannot = Option<&'static str>;
 
-/// What a drive does not do.
+/// The capabilities that a drive lacks.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Lacks {
     /// Be commanded at all.
@@ -180,7 +180,7 @@ mod tests {
     use crate::axis::{HeldBy, Limits, Units};
 
     #[test]
-    fn what_a_drive_lacks_refuses_its_own_commands_and_no_others() {
+    fn a_missing_capability_refuses_its_own_commands_only() {
         let why = Some("it has none");
         let none = Lacks::default();
         for (lacks, refused) in [

@@ -38,8 +38,8 @@ mod streams;
 pub mod units;
 
 pub use acyclic::{
-    Acyclic, Answer, Call, CallError, CallTicket, Listed, NotationError, ParameterError, ParameterTicket,
-    Parameters, PostError, Request, Scalar, Series,
+    Acyclic, Answer, Call, CallError, CallTicket, Listed, NotationError, ParameterAccess, ParameterError,
+    ParameterTicket, Parameters, PostError, Scalar, Series,
 };
 pub use command::{
     Abort, Command, CommandId, Failure, GroupCall, Jog, Move, NativeOwner, Outcome, Profile, QueuedCommand,

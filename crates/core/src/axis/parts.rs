@@ -21,7 +21,7 @@ parts! {
     Profile { velocity, acceleration, deceleration }
 }
 
-/// Its [code](Command::code), and up to five words more. A code that is not known is read as a quick stop; a log of
+/// The [code](Command::code), and up to five words more. A code that is not known is read as a quick stop; a log of
 /// another version is not read at all.
 impl Part for Command {
     const WORDS: usize = 6;

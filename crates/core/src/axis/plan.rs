@@ -13,11 +13,11 @@ pub fn is_plain_name(name: &str) -> bool {
     (1..=32).contains(&name.chars().count()) && name.chars().all(plain)
 }
 
-/// What the loop and the application need to know of one axis. Settings that only its protocol needs are in the
+/// The settings of one axis for the loop and the application. Settings that only its protocol needs are in the
 /// protocol's own drive plan.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AxisPlan {
-    /// Its name, unique in the machine.
+    /// The name, unique in the machine.
     pub name: String,
     /// User units.
     pub units: Units,
@@ -35,13 +35,13 @@ pub struct AxisPlan {
     pub stop: StopPlan,
     /// When a move has arrived.
     pub in_position: InPosition,
-    /// What a stream that runs empty does.
+    /// The reaction to a stream that runs empty.
     pub underrun: Underrun,
-    /// What to do with a drive that is found enabled or moving.
+    /// The treatment of a drive that is found enabled or moving.
     pub on_found_running: FoundRunning,
-    /// What the axis does when the application drops its [`Axis`](super::Axis).
+    /// The reaction when the application drops its [`Axis`](super::Axis).
     pub on_owner_lost: OwnerLost,
-    /// What its load does when nothing holds it.
+    /// The behaviour of the load when nothing holds it.
     pub load: Load,
     /// A cyclic velocity or torque setpoint older than so many cycles stops the axis.
     pub setpoint_age: u32,
@@ -67,7 +67,7 @@ pub struct AxisPlan {
 /// A variable that a drive reports in addition to its process data.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct MonitorChannel {
-    /// Its name.
+    /// The name.
     pub name: String,
     /// The unit of its values; empty for a plain number.
     pub unit: &'static str,
@@ -131,7 +131,7 @@ impl AxisPlan {
 pub struct PlanFault {
     /// The key below the axis, like `stop.then`.
     pub key: &'static str,
-    /// What is wrong, and the remedy.
+    /// The mistake, and the remedy.
     pub message: String,
 }
 
@@ -142,7 +142,7 @@ impl PlanFault {
     }
 }
 
-/// What is wrong with a plan, as it is found.
+/// The mistakes of a plan, as they are found.
 pub trait Faults {
     /// `key` is wrong for this reason.
     fn wrong(&mut self, key: &'static str, message: impl Display);
@@ -162,8 +162,8 @@ impl Faults for Vec<PlanFault> {
 }
 
 impl AxisPlan {
-    /// What contradicts itself in this plan, or would not work: the same checks for a file and for a plan built in
-    /// code.
+    /// The contradictions in this plan, and settings that would not work: the same checks for a file and for a plan
+    /// built in code.
     pub fn faults(&self) -> Vec<PlanFault> {
         let mut faults = Vec::new();
         self.check_numbers(&mut faults);
@@ -271,7 +271,7 @@ impl AxisPlan {
         }
     }
 
-    /// What would let a vertical load drop.
+    /// Checks the settings that would let a vertical load drop.
     fn check_load(&self, faults: &mut Vec<PlanFault>) {
         let Load::Vertical(held_by) = self.load else { return };
         let why = "would let a vertical load drop; use \"ramp\" or \"quick\"";
@@ -338,7 +338,7 @@ impl AxisPlan {
         faults
     }
 
-    /// Its velocities that are fixed, by their keys: that of moves, and the limit if there is one.
+    /// The velocities that are fixed, by their keys: that of moves, and the limit if there is one.
     #[doc(hidden)]
     pub fn velocities(&self) -> impl Iterator<Item = (&'static str, f64)> {
         let limit = self.limits.velocity.map(|most| ("limits.velocity", most));
@@ -346,7 +346,7 @@ impl AxisPlan {
     }
 }
 
-/// What the load of an axis does when nothing holds it.
+/// The behaviour of the load of an axis when nothing holds it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Load {
     /// It stays where it is.
@@ -356,7 +356,7 @@ pub enum Load {
     Vertical(HeldBy),
 }
 
-/// What holds a vertical load while the axis stands.
+/// The holder of a vertical load while the axis stands.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum HeldBy {
     /// A brake that the drive is configured to close before it powers off. Power goes off at standstill, or by the
@@ -416,7 +416,7 @@ pub enum FollowingError {
     Derived,
     /// Not watched.
     Off,
-    /// So many units, whatever makes the demand.
+    /// A fixed number of units, whatever makes the demand.
     Most(f64),
 }
 
@@ -431,11 +431,11 @@ impl Limits {
 /// full bucket is a lost link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Health {
-    /// So many misses fill the bucket, and the link is lost.
+    /// The number of misses that fill the bucket; then the link is lost.
     pub bucket: u32,
-    /// So many good exchanges in a row let one miss leak away.
+    /// The number of good exchanges in a row that let one miss leak away.
     pub leak: u32,
-    /// So many good exchanges in a row bring a link up.
+    /// The number of good exchanges in a row that bring a link up.
     pub gate: u32,
     /// Interval of the requests to a drive that was never seen, or is lost.
     pub probe_interval: Duration,
@@ -463,7 +463,7 @@ impl Health {
         misses.saturating_mul(self.tolerates_one_in()).div_ceil(2).saturating_add(1)
     }
 
-    /// So many exchanges it takes on average until a link is lost that has just come up, where each exchange is missed
+    /// The average number of exchanges until a link is lost that has just come up, where each exchange is missed
     /// with the probability `share`, whatever became of the one before.
     #[doc(hidden)]
     pub fn exchanges_to_loss(&self, share: f64) -> f64 {
@@ -515,11 +515,11 @@ pub struct StopPlan {
     pub how: StopHow,
     /// Deceleration of the ramp, units/s².
     pub deceleration: f64,
-    /// What follows standstill.
+    /// The reaction after standstill.
     pub then: StopThen,
     /// Longest time to standstill.
     pub timeout: Duration,
-    /// What follows when standstill does not come in time.
+    /// The reaction when standstill does not come in time.
     pub on_timeout: StopTimeout,
     /// Standstill: speed below this, units/s ...
     pub standstill: f64,
@@ -540,7 +540,7 @@ pub enum StopHow {
     Coast,
 }
 
-/// What follows standstill.
+/// The reaction after standstill.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum StopThen {
     /// Stay powered and in position.
@@ -549,7 +549,7 @@ pub enum StopThen {
     Disable,
 }
 
-/// What follows when standstill does not come in time.
+/// The reaction when standstill does not come in time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum StopTimeout {
     /// Stay powered.
@@ -558,7 +558,7 @@ pub enum StopTimeout {
     Disable,
 }
 
-/// What an empty stream does. It is an event in every case.
+/// The reaction to an empty stream. It is an event in every case.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Underrun {
     /// Repeat the last position with velocity 0 until rows come again.
@@ -569,7 +569,7 @@ pub enum Underrun {
     Stop,
 }
 
-/// What to do with a drive that is found enabled or moving at start.
+/// The treatment of a drive that is found enabled or moving at start.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FoundRunning {
     /// Take over the control bits as found, then stop it as the stop plan says.
@@ -578,13 +578,13 @@ pub enum FoundRunning {
     Refuse,
 }
 
-/// What an axis does when the application drops its [`Axis`](super::Axis), or the [`Group`](super::Group) that has it.
+/// The reaction when the application drops its [`Axis`](super::Axis), or the [`Group`](super::Group) that has it.
 /// An axis that stands still, or runs a command of the in-loop task, goes on in either case.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum OwnerLost {
-    /// What runs or waits is aborted, and the axis is stopped as the stop plan says. A stop or power off that was
+    /// Running and waiting commands are aborted, and the axis is stopped by the stop plan. A stop or power off that was
     /// requested before goes on.
     Stop,
-    /// What was commanded goes on to its end.
+    /// Running and waiting commands go on to their end.
     Finish,
 }

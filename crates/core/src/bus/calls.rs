@@ -23,7 +23,7 @@ pub struct Calls<const ROOM: usize = MOST> {
 /// The values of a series of calls: touched only by calls that are about them.
 #[derive(Debug)]
 struct Series<const ROOM: usize> {
-    /// What the last one has read ...
+    /// The values that the last one has read ...
     read: Kept<ROOM>,
     /// ... and what they have handed over to be written.
     loaded: Kept<ROOM>,
@@ -178,7 +178,7 @@ mod tests {
     }
 
     #[test]
-    fn what_ends_a_call_without_its_answer_depends_on_whether_the_drive_may_have_received_it() {
+    fn a_call_without_answer_ends_by_whether_the_drive_may_have_received_it() {
         let (acyclic, mut calls) = both();
         let ticket = post(&acyclic, 2);
         let posted = calls.take().unwrap();

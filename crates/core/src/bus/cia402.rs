@@ -67,7 +67,7 @@ impl ControlWord {
         self.0 & !before.0 & bits != 0
     }
 
-    /// Its command; `None`: bit 7 is set, or bits 0 ... 3 are no command.
+    /// The command; `None`: bit 7 is set, or bits 0 ... 3 are no command.
     pub fn command(self) -> Option<ControlCommand> {
         ControlCommand::ALL.into_iter().find(|command| {
             let (mask, value) = command.bits();
@@ -136,13 +136,13 @@ pub enum Cause {
 /// A transition that a master causes. Those that a drive makes by itself (0, 1, 13, 14) are not among them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Transition {
-    /// Its number in the standard.
+    /// The number in the standard.
     pub number: u8,
     /// The state before.
     pub from: State,
     /// The state after.
     pub to: State,
-    /// Its cause.
+    /// The cause.
     pub cause: Cause,
 }
 
@@ -229,7 +229,7 @@ impl StatusWord {
         StatusWord(self.0 | bits)
     }
 
-    /// Its state; [`State::Unknown`]: no valid one.
+    /// The state; [`State::Unknown`]: no valid one.
     #[inline]
     pub fn state(self) -> State {
         state(self.0)

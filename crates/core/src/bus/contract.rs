@@ -60,8 +60,8 @@ pub trait Bus: Send {
     /// next `receive` or `send`.
     fn receive(&mut self, cycle: &Cycle, slots: &mut [Slot]);
 
-    /// What the window of `cycle` is open for. Queried after each call that may change it: one that knows which
-    /// exchange it is need not look at all slots.
+    /// The replies that the window of `cycle` is open for. Queried after each call that may change it: one that knows
+    /// which exchange it is need not look at all slots.
     fn waits(&self, cycle: &Cycle, slots: &[Slot]) -> Waits {
         Waits::for_replies(slots.iter().filter(|slot| slot.exchange.is_waited_for(cycle)).count())
     }
@@ -83,7 +83,7 @@ pub trait Bus: Send {
     /// cycle, until it is true.
     fn shut_down(&mut self, cycle: &Cycle, slots: &mut [Slot]) -> bool;
 
-    /// What it counts of itself, and the state of its clock. Queried now and then.
+    /// The counts of the bus itself, and the state of its clock. Queried now and then.
     fn numbers(&self) -> BusNumbers;
 
     /// The newest native inputs of drive `index`, and what the request that left last has carried to it: it is there in
@@ -109,10 +109,10 @@ pub trait Bus: Send {
     }
 }
 
-/// What the window waits for on a bus.
+/// The replies that the window waits for on a bus.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Waits {
-    /// So many replies [are waited for](Exchange::is_waited_for), or one frame that carries all of them.
+    /// The number of replies that [are waited for](Exchange::is_waited_for), or of frames that carry all of them.
     pub replies: usize,
     /// When [`Bus::poll`] is to be called, whatever the descriptor shows: when the reply on a half-duplex wire is
     /// overdue, or its idle time is over. The window stays open for it, up to its deadline. [`NEVER`](Waits::NEVER):
@@ -138,7 +138,7 @@ pub struct Opened {
     pub ends: Ends,
     /// Why its drives cannot be reached, for normal threads; `None` for a bus without connections.
     pub notes: Option<Arc<dyn Notes>>,
-    /// What stops its drives without the loop, where they have no watchdog of their own for a silent master. `None`:
+    /// The stop of the drives without the loop, where they have no watchdog of their own for a silent master. `None`:
     /// its drives stop by themselves once nothing is sent any more.
     pub last_resort: Option<LastResort>,
 }
@@ -172,7 +172,7 @@ pub trait Notes: Debug + Send + Sync {
         None
     }
 
-    /// What is to be known of drive `index` although it is in operation, since the configuration does not say it;
+    /// The remark on drive `index` although it is in operation, since the configuration does not say it;
     /// `None`: nothing.
     fn remark(&self, _index: usize) -> Option<String> {
         None
@@ -183,7 +183,7 @@ pub trait Notes: Debug + Send + Sync {
         None
     }
 
-    /// What `BusFacts::own_counters` names, of device `index`, which is not a drive.
+    /// The counts named by `BusFacts::own_counters`, of device `index`, which is not a drive.
     fn device_counters(&self, _index: usize) -> [u64; OWN_COUNTERS] {
         [0; OWN_COUNTERS]
     }
@@ -201,7 +201,7 @@ impl Notes for LinkNotes {
     }
 }
 
-/// What a bus knows of the cycle it works in.
+/// The facts of the cycle that a bus works in.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Cycle {
     /// The slot of the grid, counted from the start. Skipped slots count.
@@ -234,7 +234,7 @@ impl Cycle {
 pub struct Slot {
     /// The exchange of this drive.
     pub exchange: Exchange,
-    /// What has left of what is desired.
+    /// The parts of `desired` that have left.
     pub gone: Gone,
     /// An exchange is due at the next send.
     pub due: bool,
@@ -260,15 +260,15 @@ pub struct Slot {
     pub has_earlier: bool,
     /// Exact counts of its exchanges.
     pub counters: Counters,
-    /// What else is new of the drive.
+    /// The other news of the drive.
     pub notices: Notices,
-    /// What the drive reported last.
+    /// The last report of the drive.
     pub status: DriveStatus,
-    /// What proves that the drive has what is desired.
+    /// The evidence that the drive has the desired state.
     pub evidence: Evidence,
-    /// What the drive shall do from its next request on.
+    /// The desired state of the drive from its next request on.
     pub desired: Desired,
-    /// Its exchanges of earlier cycles, where the next request does not wait for a reply.
+    /// The exchanges of earlier cycles, where the next request does not wait for a reply.
     pub earlier: Earlier,
 }
 
@@ -328,7 +328,7 @@ pub struct Earlier {
     count: u8,
     /// There was no room for so many.
     dropped: u8,
-    /// So many were answered since the loop last looked.
+    /// The number of exchanges answered since the loop last looked.
     answered: u8,
     /// The longest round trip of these, ns.
     rtt_ns: u64,
@@ -336,12 +336,12 @@ pub struct Earlier {
     sent_at: Time,
 }
 
-/// What the loop finds in [`Earlier`].
+/// The loop's result of [`Earlier`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Ended {
-    /// So many exchanges were not answered in their time.
+    /// The number of exchanges that were not answered in their time.
     pub missed: u32,
-    /// So many were answered.
+    /// The number of exchanges that were answered.
     pub answered: u32,
     /// The longest round trip of these, ns.
     pub rtt_ns: u64,
@@ -389,7 +389,7 @@ impl Earlier {
         (self.answered > 0).then_some(self.sent_at)
     }
 
-    /// What has ended by the end of the window of `cycle`; the loop takes it.
+    /// The exchanges that have ended by the end of the window of `cycle`; the loop takes them.
     pub fn end(&mut self, cycle: &Cycle) -> Ended {
         let overdue = self.waited_for(cycle);
         // The oldest come first.
@@ -478,8 +478,8 @@ impl Exchange {
     }
 }
 
-/// What a bus reports of a drive in addition to its status. The loop clears each of them when it has taken it. What
-/// comes with most reports stands last, next to the status.
+/// The notices of a bus about a drive in addition to its status. The loop clears each of them when it has taken it. The
+/// one that comes with most reports stands last, next to the status.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[repr(C)]
 pub struct Notices {

@@ -34,7 +34,7 @@ pub struct Counters {
 }
 
 impl Counters {
-    /// What was counted since it was `before`.
+    /// The counts since `before`.
     pub fn since(&self, before: &Counters) -> Counters {
         let of = |count: fn(&Counters) -> u64| count(self).saturating_sub(count(before));
         Counters {
@@ -59,9 +59,9 @@ pub const OWN_COUNTERS: usize = 14;
 /// A counter that only one protocol has.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct OwnCounter {
-    /// Its key in JSON and metrics: small letters and underscores.
+    /// The key in JSON and metrics: small letters and underscores.
     pub key: &'static str,
-    /// What it counts, for people: one short sentence.
+    /// The meaning of the count, for people: one short sentence.
     pub what: &'static str,
 }
 
@@ -89,7 +89,7 @@ macro_rules! own_counters {
     };
 }
 
-/// What only one protocol counts of a drive or device, exactly.
+/// The counts of a drive or device that only one protocol has, exactly.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct ProtocolCounters(pub Vec<(OwnCounter, u64)>);
 
@@ -144,10 +144,10 @@ pub struct Unmatched {
     pub errors: u64,
 }
 
-/// What a bus counts of itself, and the state of its clock.
+/// The counts of a bus itself, and the state of its clock.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct BusNumbers {
-    /// What was received and belongs to no drive.
+    /// The received messages that belong to no drive.
     pub unmatched: Unmatched,
     /// The relation of its clock and the grid, if it has a clock.
     pub clock: Option<BusClock>,

@@ -7,24 +7,24 @@ use crate::axis::command::NativeOwner;
 use crate::axis::{Cannot, Failure, Lacks, Profile};
 use crate::time::Time;
 
-/// What a drive shall do from its next request on. It holds until it is replaced.
+/// The desired state of a drive from its next request on. It holds until it is replaced.
 ///
-/// Its serials are on one cache line: most cycles read no more of it.
+/// The serials are on one cache line: most cycles read no more of it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[repr(C, align(64))]
 pub struct Desired {
-    /// Its power.
+    /// The power.
     pub power: Intent<Power>,
-    /// Its mode of operation.
+    /// The mode of operation.
     pub mode: Intent<Mode>,
-    /// Its motion.
+    /// The motion.
     pub motion: Intent<Motion>,
     /// The setpoint of the next send, with [`Motion::Follow`] and where the master makes all setpoints.
     pub setpoint: Setpoint,
 }
 
 impl Desired {
-    /// Its revision: the newest of its intents, whose serials all come from one count. Another one is another revision,
+    /// The revision: the newest of its intents, whose serials all come from one count. Another one is another revision,
     /// setpoints are not.
     #[inline]
     pub fn revision(&self) -> u64 {
@@ -39,7 +39,7 @@ impl Desired {
 pub struct Intent<T> {
     /// Grows with each intent; 0 = none yet.
     pub serial: u64,
-    /// What is wanted.
+    /// The desired value.
     pub value: T,
 }
 
@@ -92,7 +92,7 @@ pub enum Motion {
     Move {
         /// The target.
         position: f64,
-        /// Its profile.
+        /// The profile.
         profile: Profile,
     },
     /// At a velocity, made by the drive; another one is another intent.
@@ -115,7 +115,7 @@ pub enum Motion {
     Halt,
     /// The drive's homing.
     Home,
-    /// What the application writes.
+    /// Native process data of the application.
     Native(NativeOwner),
 }
 
@@ -134,27 +134,27 @@ pub struct Setpoint {
     pub row: u64,
 }
 
-/// What has left of the desired state, as the bus writes it when a request goes out.
+/// The parts of the desired state that have left, as the bus writes them when a request goes out.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Gone {
     /// The slot of the grid that the request was built for; `None`: none has gone out since the loop last looked.
     pub grid: Option<Time>,
 }
 
-/// What shows that a drive has its desired state, written by the bus with each report. What is written or read with
-/// most of them is its first cache line.
+/// The evidence that a drive has its desired state, written by the bus with each report. The fields that most
+/// reports touch are its first cache line.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[repr(C, align(64))]
 pub struct Evidence {
-    /// What is written reaches the drive and counts there.
+    /// Outputs reach the drive and count there.
     pub outputs_count: bool,
-    /// Its power stays on, if it is on: the drive reports that it is commanded to be on.
+    /// The power stays on, if it is on: the drive reports that it is commanded to be on.
     pub stays_on: bool,
     /// It can take the next motion.
     pub ready: bool,
-    /// Its settings are those of its plan; they are written before its power comes on.
+    /// The settings are those of its plan; they are written before its power comes on.
     pub is_set_up: bool,
-    /// Its mode.
+    /// The mode.
     pub mode: ModeIs,
     /// How far its homing is.
     pub homing: Homing,
@@ -172,7 +172,7 @@ pub struct Evidence {
     pub refused: Option<Refused>,
     /// It follows what is written.
     pub follows: Follows,
-    /// What is known of its fault.
+    /// The knowledge of its fault.
     pub fault: FaultIs,
     /// Why it cannot be enabled or moved at present.
     pub obstacle: Cannot,
@@ -278,12 +278,12 @@ pub enum Reference {
     Silent,
 }
 
-/// What is known of a fault, besides its code.
+/// The knowledge of a fault, besides its code.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct FaultIs {
     /// There is one.
     pub active: bool,
-    /// Its code is known, as far as it will ever be.
+    /// The code is known, as far as it will ever be.
     pub named: bool,
     /// When it can be acknowledged.
     pub resettable: Resettable,
@@ -301,20 +301,20 @@ pub enum Resettable {
     Never(Cannot),
 }
 
-/// What a drive can do, and what proves it: fixed by its plan.
+/// The capabilities of a drive, and the kinds of evidence: fixed by its plan.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Capabilities {
-    /// What makes its setpoints.
+    /// The source of its setpoints.
     pub generator: Generator,
-    /// What it does not do.
+    /// The capabilities that it lacks.
     pub lacks: Lacks,
     /// Power comes on, and it goes into operation, with one command.
     pub switches_on_at_once: bool,
     /// It goes from its quick stop back into operation.
     pub leaves_quick_stop: bool,
-    /// So many reports in a row that say the same prove a state of its power, and that it has lost its power, its
-    /// reference or its hardware enable. One where a report is certainly newer than the one before: it has a number, a
-    /// working counter or the wire to itself. Two where one that comes again may look like the newest ...
+    /// The number of reports in a row that say the same and prove a state of its power, and that it has lost its power,
+    /// its reference or its hardware enable. One where a report is certainly newer than the one before: it has a
+    /// number, a working counter or the wire to itself. Two where one that comes again may look like the newest ...
     pub power_reports: u8,
     /// ... and so many its standstill.
     pub still_reports: u8,
@@ -324,11 +324,11 @@ pub struct Capabilities {
     pub arrival: f64,
     /// The actual position of a report has followed the demand until so long before the demand of the same report, ns.
     pub behind_ns: u64,
-    /// What the wire can carry.
+    /// The ranges of the wire.
     pub ranges: Ranges,
 }
 
-/// What makes the setpoints of a drive.
+/// The source of the setpoints of a drive.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Generator {
     /// The drive, along profiles.
@@ -409,9 +409,9 @@ impl Capabilities {
 /// outputs count.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Delivery {
-    /// Its serial.
+    /// The serial.
     pub serial: u64,
-    /// So many exchanges had been answered when the first one with it was sent.
+    /// The number of exchanges that had been answered when the first one with it was sent.
     pub since: u64,
 }
 

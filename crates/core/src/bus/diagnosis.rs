@@ -10,14 +10,14 @@ use std::sync::{Arc, Mutex, PoisonError};
 use super::counters::{Counters, Unmatched};
 use crate::axis::Link;
 
-/// What was counted of a drive that is not online, since it was seen online.
+/// The counts of a drive that is not online, since it was seen online.
 #[derive(Clone, Copy, Debug)]
 pub struct Symptoms<'a> {
-    /// Its exchanges.
+    /// The exchanges.
     pub counters: &'a Counters,
     /// It has answered before that.
     pub has_answered: bool,
-    /// What arrived at its bus so far and belongs to no drive.
+    /// The messages that arrived at its bus so far and belong to no drive.
     pub unmatched: &'a Unmatched,
 }
 
@@ -50,9 +50,9 @@ pub struct Row {
     pub symptom: &'static str,
     /// Whether it is there. Of a state that the wire itself notes this is [`NOTED`].
     pub holds: fn(&Symptoms<'_>) -> bool,
-    /// What is wrong.
+    /// The symptom.
     pub says: &'static str,
-    /// What to do.
+    /// The remedy.
     pub remedy: &'static str,
 }
 
@@ -66,7 +66,7 @@ impl Row {
 /// A row that the wire's own notes say, and no counter shows.
 pub const NOTED: fn(&Symptoms<'_>) -> bool = |_| false;
 
-/// What is wrong, and what to do.
+/// The symptom and the remedy.
 impl fmt::Display for Row {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{}: {}", self.says, self.remedy)
@@ -76,7 +76,7 @@ impl fmt::Display for Row {
 /// Of a drive that is not online although nothing is wrong so far.
 pub const NOT_YET: &str = "nothing is wrong so far: wait longer";
 
-/// A link as it was seen so far, by whoever has looked: what is counted from then on tells why it is not up.
+/// A link as it was seen so far by a reader: what is counted from then on says why it is not up.
 #[derive(Clone, Debug, Default)]
 pub struct Seen(Arc<Mutex<Last>>);
 

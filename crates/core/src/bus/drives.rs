@@ -20,9 +20,9 @@ pub struct Ends {
 /// The application's ends of a drive.
 #[derive(Debug)]
 pub struct DriveEnds {
-    /// Its native process data, by the type that its protocol names.
+    /// The native process data, by the type that its protocol names.
     pub native: Box<dyn Any + Send>,
-    /// Its acyclic access. Posted calls are carried out in slices of bounded work, and end as done, refused by the
+    /// The acyclic access. Posted calls are carried out in slices of bounded work, and end as done, refused by the
     /// drive, or unavailable. They add no telegram to a cycle and delay none.
     pub acyclic: AcyclicEnds,
 }
@@ -30,9 +30,9 @@ pub struct DriveEnds {
 /// The application's ends of a device that is not a drive.
 #[derive(Debug)]
 pub struct DeviceEnds {
-    /// Its process data, by the type that its protocol names.
+    /// The process data, by the type that its protocol names.
     pub native: Box<dyn Any + Send>,
-    /// Its acyclic access.
+    /// The acyclic access.
     pub acyclic: AcyclicEnds,
     /// Whether it can be reached, as the link of its feedback.
     pub observer: Observer,
@@ -60,7 +60,7 @@ pub fn lock<'a>(
     drives.map(lock).collect()
 }
 
-/// What is wrong with the plans of drives, each with its index: with their axes, by themselves in a cycle of their own,
+/// The mistakes in the plans of drives, each with its index: with their axes, by themselves in a cycle of their own,
 /// and with an address that is `same` as that of an earlier one, for the reason `taken`.
 pub fn faults<D>(
     drives: &[D],

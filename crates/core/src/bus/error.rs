@@ -65,7 +65,7 @@ pub enum OpenError {
     OtherMaster {
         /// The bus.
         bus: String,
-        /// Its interface.
+        /// The interface.
         interface: String,
         /// The Ethernet address of that master.
         mac: String,
@@ -78,7 +78,7 @@ pub enum OpenError {
     Running {
         /// The bus.
         bus: String,
-        /// What is in use.
+        /// The resource in use.
         what: String,
     },
     /// The plan of a drive contradicts itself.

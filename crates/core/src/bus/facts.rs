@@ -11,34 +11,34 @@ use crate::axis::acyclic::{Call, Notation};
 use crate::axis::feedback::MONITOR_CHANNELS;
 use crate::axis::{FaultNames, MonitorChannel, SilenceFaults};
 
-/// What is known of a bus on its grid before the start. A wire states what differs from [`BusFacts::new`].
+/// The facts of a bus on its grid before the start. A wire states the differences from [`BusFacts::new`].
 #[derive(Clone, Debug)]
 pub struct BusFacts {
     /// The protocol's name, as in the configuration.
     pub protocol: &'static str,
-    /// Its drives, in slot order.
+    /// The drives, in slot order.
     pub drives: Vec<DriveFacts>,
     /// The names of its devices that are not drives, in the order of [`Ends::devices`](super::Ends::devices).
     pub devices: Vec<String>,
-    /// Its drives have a common clock that can lead the grid.
+    /// The drives have a common clock that can lead the grid.
     pub has_clock: bool,
     /// One frame serves all of its drives: it is sent before the requests of other buses, since its reply comes while
     /// they are sent; and that is one reply that is waited for, whatever the number of drives.
     pub is_one_frame: bool,
-    /// What its exchanges put on its wire. `None`: nothing that costs a processor time.
+    /// The load of its exchanges on its wire. `None`: nothing that costs a processor time.
     #[doc(hidden)]
     pub load: Option<Load>,
     /// The address that it sends from, with port 0 where that is the choice of the kernel; `None`: it has none, or it
     /// is whichever leads to a drive.
     #[doc(hidden)]
     pub local: Option<SocketAddrV4>,
-    /// What `Counters::own` counts, in order.
+    /// The meaning of `Counters::own`, in order.
     #[doc(hidden)]
     pub own_counters: &'static [OwnCounter],
     /// Which of `Counters::own` is the time that the telegrams of a drive took on a half-duplex wire, µs.
     #[doc(hidden)]
     pub wire_us: Option<usize>,
-    /// What the counts of a drive mean that is not online, the most specific symptoms first.
+    /// The meaning of the counts of a drive that is not online, the most specific symptoms first.
     #[doc(hidden)]
     pub diagnosis: &'static [Row],
     /// The names of the fault codes of its drives.
@@ -92,22 +92,22 @@ pub fn of_drives(buses: &[BusFacts]) -> impl Iterator<Item = (&BusFacts, &DriveF
     buses.iter().flat_map(|bus| bus.drives.iter().map(move |drive| (bus, drive)))
 }
 
-/// What is known of a drive on its grid before the start. A wire states what differs from [`DriveFacts::at`] and
+/// The facts of a drive on its grid before the start. A wire states the differences from [`DriveFacts::at`] and
 /// [`DriveFacts::on_wire`].
 #[derive(Clone, Debug)]
 pub struct DriveFacts {
-    /// Its IP address, if it has one.
+    /// The IP address, if it has one.
     pub address: Option<SocketAddrV4>,
     /// Where it is, as the search of its protocol reports it.
     #[doc(hidden)]
     pub place: String,
-    /// Its place on a wire without IP addresses, counted from 0 at the master's end.
+    /// The place on a wire without IP addresses, counted from 0 at the master's end.
     #[doc(hidden)]
     pub place_on_wire: usize,
     /// How long its replies count.
     pub reply_within: ReplyWithin,
-    /// So many requests may have to leave before one with a stop can: the command that the stop replaces has to end
-    /// first.
+    /// The number of requests that may have to leave before one with a stop can: the command that the stop replaces has
+    /// to end first.
     pub before_stop: u32,
     /// It stops by itself within this time if the master dies, ns: its own watchdog. `None`: it does not.
     pub watchdog_ns: Option<u64>,
@@ -115,7 +115,7 @@ pub struct DriveFacts {
     pub has_last_resort: bool,
     /// The variables that it reports in addition to its process data, each once.
     pub monitored: [Option<MonitorChannel>; MONITOR_CHANNELS],
-    /// What it can do.
+    /// The capabilities.
     #[doc(hidden)]
     pub capabilities: Capabilities,
 }

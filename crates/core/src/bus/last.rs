@@ -43,7 +43,7 @@ impl LastResort {
         Ok(LastResort { socket, drives: Held::handed(drives), locks: locks.collect::<io::Result<_>>()? })
     }
 
-    /// What the newest request to drive `index` says of its power, for the loop's side.
+    /// The power that the newest request to drive `index` requests, for the loop's side.
     pub fn power_sent(&self, index: usize) -> PowerSent {
         PowerSent::of(self.drives.clone(), index)
     }
@@ -75,7 +75,7 @@ impl PowerSent {
     }
 }
 
-/// What a drive was sent last.
+/// The last request to a drive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Power {
     /// Nothing about its power: it is not commanded.
@@ -94,16 +94,16 @@ pub struct LastDrive {
     sent: AtomicU8,
     /// How its stop went.
     pub outcome: Outcome,
-    known: Known,
+    known: StopFacts,
 }
 
 // SAFETY: numbers and atomic numbers in the layout of C.
 unsafe impl Plain for LastDrive {}
 
-/// What is known of a drive before the start. Numbers only, checked when they are read.
+/// The facts of a drive before the start. Numbers only, checked when they are read.
 #[derive(Clone, Copy, Debug, Default)]
 #[repr(C)]
-struct Known {
+struct StopFacts {
     standstill: f64,
     timeout_ns: u64,
     reply: Reply,
@@ -121,7 +121,7 @@ struct Known {
 /// The name of a drive, as much of it as there is room for.
 type Name = [u8; 32];
 
-/// What a drive is sent.
+/// The telegrams for a drive.
 #[derive(Clone, Copy, Debug, Default)]
 #[repr(C)]
 pub struct Telegrams {
@@ -149,18 +149,18 @@ impl Telegram {
         telegram
     }
 
-    /// Its bytes.
+    /// The bytes.
     pub fn bytes(&self) -> &[u8] {
         &self.bytes[..usize::from(self.length).min(15)]
     }
 
-    /// What the reply to it begins with: its own head. No reply to a request of the loop does.
+    /// The head of the reply to it. No reply to a request of the loop begins so.
     pub fn echo(&self) -> &[u8] {
         &self.bytes()[..self.bytes().len().min(ECHO)]
     }
 }
 
-/// So many bytes of a telegram come back at the beginning of its reply.
+/// The number of bytes of a telegram that come back at the beginning of its reply.
 const ECHO: usize = 8;
 
 /// How a drive answers such a telegram: little-endian words at fixed places.
@@ -181,19 +181,19 @@ pub struct Reply {
     pub position_at: u8,
 }
 
-/// What a drive shows.
+/// The state that a drive shows.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sighted {
-    /// Its power stage may be on.
+    /// The power stage may be on.
     pub powered: bool,
-    /// Its setpoint generator is running.
+    /// The setpoint generator is running.
     pub moving: bool,
-    /// Its position, counts.
+    /// The position, counts.
     pub position: i32,
 }
 
 impl Reply {
-    /// What a reply to `telegram` shows; `None`: it is none.
+    /// The state that a reply to `telegram` shows; `None`: it is none.
     pub fn read(&self, telegram: &Telegram, bytes: &[u8]) -> Option<Sighted> {
         let rest = |at: u8| bytes.get(usize::from(at)..);
         let status = u16::from_le_bytes(*rest(self.status_at)?.first_chunk()?);
@@ -223,7 +223,7 @@ impl LastDrive {
         let rounds = u32::try_from(still_ns.div_ceil(ROUND_NS)).unwrap_or(u32::MAX);
         let mut name = Name::default();
         name.iter_mut().zip(axis.name.as_bytes()).for_each(|(to, from)| *to = *from);
-        let known = Known {
+        let known = StopFacts {
             standstill: stop.standstill,
             timeout_ns: nanos(stop.timeout),
             reply,
@@ -240,7 +240,7 @@ impl LastDrive {
         LastDrive { known, ..LastDrive::default() }
     }
 
-    /// What it was sent last.
+    /// The power that was requested last.
     pub fn sent(&self) -> Power {
         match self.sent.load(Ordering::Relaxed) {
             0 => Power::Untouched,
@@ -255,18 +255,18 @@ impl LastDrive {
         self.sent.store(Power::Off as u8, Ordering::Relaxed);
     }
 
-    /// Its name; a long one is cut.
+    /// The name; a long one is cut.
     pub fn name(&self) -> String {
         let end = self.known.name.iter().position(|byte| *byte == 0).unwrap_or(self.known.name.len());
         String::from_utf8_lossy(&self.known.name[..end]).into_owned()
     }
 
-    /// Its address.
+    /// The address.
     pub fn address(&self) -> SocketAddrV4 {
         SocketAddrV4::new(Ipv4Addr::from(self.known.address), self.known.port)
     }
 
-    /// What it is sent.
+    /// The telegrams to send.
     pub fn telegrams(&self) -> Telegrams {
         self.known.telegrams
     }
@@ -279,7 +279,7 @@ impl LastDrive {
     /// How it is stopped, and what becomes of its load. The master's own ramp needs the loop: the drive's quick stop
     /// takes its place.
     pub fn stop(&self) -> (StopPlan, Load) {
-        let Known { how, then, on_timeout, keeps_power, standstill, standstill_for, timeout_ns, .. } =
+        let StopFacts { how, then, on_timeout, keeps_power, standstill, standstill_for, timeout_ns, .. } =
             self.known;
         let is = |number: u8, value: u8| number == value;
         let plan = StopPlan {
@@ -322,7 +322,7 @@ impl Outcome {
         self.stood.store(after.0 + 1, Ordering::Relaxed);
     }
 
-    /// Its power is off.
+    /// The power is off.
     pub fn set_off(&self, after: Time) {
         self.off.store(after.0 + 1, Ordering::Relaxed);
     }
@@ -358,7 +358,7 @@ mod tests {
     };
 
     #[test]
-    fn what_a_drive_shows_is_read_where_its_wire_has_it() {
+    fn monitored_values_are_read_at_the_place_that_the_wire_declares() {
         let halt = Telegram::new(&[1, 0, 0, 0, 7, 0, 0, 0, 0x2F, 0]);
         let bytes = [1, 0, 0, 0, 7, 0, 0, 0, 0, 0x20, 0, 8, 0x10, 0, 0, 0];
         assert_eq!(REPLY.read(&halt, &bytes), Some(Sighted { powered: true, moving: true, position: 16 }));

@@ -26,7 +26,7 @@ pub enum Way {
     Port(String),
 }
 
-/// What the exchanges of a bus put on its wire.
+/// The load of a bus's exchanges on its wire.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Load {
     /// As what.

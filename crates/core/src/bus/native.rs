@@ -118,7 +118,7 @@ impl Default for NativeBytes {
     }
 }
 
-/// What is known of the native process data of a drive.
+/// The description of the native process data of a drive.
 #[doc(hidden)]
 #[derive(Clone, Debug, Default)]
 pub struct NativeLayout {
@@ -134,7 +134,7 @@ pub struct NativeLayout {
 #[doc(hidden)]
 #[derive(Clone)]
 pub struct NativeField {
-    /// Its name in the protocol.
+    /// The name in the protocol.
     pub name: String,
     value: Arc<Value>,
 }

@@ -18,7 +18,7 @@ struct Word<N>(N);
 pub struct NoteCells<N: Copy>(Arc<[AtomicCell<Word<N>>]>);
 
 impl<N: Copy + Default> NoteCells<N> {
-    /// So many, each the default.
+    /// `count` cells, each with the default.
     pub fn new(count: usize) -> NoteCells<N> {
         const { assert!(AtomicCell::<Word<N>>::is_lock_free(), "a note does not fit a word") };
         NoteCells((0..count).map(|_| AtomicCell::default()).collect())

@@ -29,13 +29,13 @@ impl Grid {
         }
     }
 
-    /// So many cycles after the one at the begin of `within_ns` its end is known.
+    /// The number of cycles after the one at the begin of `within_ns` until its end is known.
     pub fn cycles_behind(&self, within_ns: u64) -> u64 {
         within_ns.saturating_sub(self.deadline_ns).div_ceil(self.period_ns.max(1))
     }
 }
 
-/// What `check` says of a drive that nothing stops if the master dies.
+/// The line of `check` on a drive that nothing stops if the master dies.
 pub const fn unwatched(is_accepted: bool) -> &'static str {
     match is_accepted {
         true => "nothing stops the drive: it keeps its last speed (no_drive_watchdog = \"accept\")",
@@ -45,13 +45,13 @@ pub const fn unwatched(is_accepted: bool) -> &'static str {
 
 /// A bus as configured and checked, before any socket is open. The plans of the protocols of this library implement it.
 pub trait BusPlan: Any + Debug + Send + Sync {
-    /// Its name in messages.
+    /// The name in messages.
     fn name(&self) -> &str;
 
-    /// Its axes, in slot order.
+    /// The axes, in slot order.
     fn axes(&self) -> Vec<&AxisPlan>;
 
-    /// What contradicts itself or would not work in a cycle of `period_ns`, each with the index of its axis.
+    /// The contradictions, and settings that would not work in a cycle of `period_ns`, each with the index of its axis.
     fn faults(&self, period_ns: u64) -> Vec<(usize, PlanFault)>;
 
     /// On a half-duplex wire: why its turns do not fit onto the grid, each with the index of its axis. Of a plan
@@ -60,15 +60,17 @@ pub trait BusPlan: Any + Debug + Send + Sync {
         Vec::new()
     }
 
-    /// What is known of it before the start, whatever is wrong with it. Whoever needs several facts computes them once.
+    /// The facts of the bus before the start, whatever is wrong with it. A caller that needs several facts computes
+    /// them once.
     fn facts(&self, grid: Grid) -> BusFacts;
 
-    /// What `check` prints of each drive in addition to its [`AxisPlan`]: address, modes, what happens if the
+    /// The lines of `check` on each drive in addition to its [`AxisPlan`]: address, modes, what happens if the
     /// master dies. One paragraph per drive, in slot order, one sentence per line; the address is the first line. The
     /// lines of the bus itself follow. No fact: it is printed only, of a plan without faults.
     fn describe(&self, grid: Grid) -> Vec<String>;
 
-    /// What is known of the native process data of drive `index`. No fact: only a recorded drive needs all these names.
+    /// The description of the native process data of drive `index`. No fact: only a recorded drive needs all these
+    /// names.
     #[doc(hidden)]
     fn native_layout(&self, _index: usize) -> NativeLayout {
         NativeLayout::default()

@@ -10,7 +10,7 @@
 /// A telegram has two revisions: that of what is desired, and that of this state. As long as both are the same, the
 /// telegram that was built last holds, but for what is patched in place: setpoint, stamp and count.
 ///
-/// Whether it holds is all that a usual cycle asks: that stands last, on one cache line with what follows in a profile.
+/// A usual cycle reads only whether it holds: that stands last, on one cache line with what follows in a profile.
 #[derive(Clone, Debug)]
 #[repr(C)]
 pub struct Prepared<T> {
@@ -20,7 +20,7 @@ pub struct Prepared<T> {
     revision: u64,
     /// The revisions that the telegram was built for, or [`NONE`].
     built_for: (u64, u64),
-    /// Its leaving may change the state.
+    /// The leaving may change the state.
     is_proposed: bool,
     /// The state has changed since it was built.
     is_void: bool,
@@ -140,7 +140,7 @@ impl<T: Clone + PartialEq> Prepared<T> {
 mod tests {
     use super::*;
 
-    /// What is left of a sequence of telegrams is that of those that left, whatever was built in between.
+    /// The state after a sequence of telegrams is that of those that left, whatever was built in between.
     #[test]
     fn only_what_left_counts() {
         for seed in 0..1_000 {

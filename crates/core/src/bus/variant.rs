@@ -5,14 +5,14 @@ use std::net::{Ipv4Addr, SocketAddrV4};
 
 use crate::axis::AxisPlan;
 
-/// What is different in a machine.
+/// The differences of a machine.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Variant {
     /// The period for which it was planned, ns.
     pub was_ns: u64,
-    /// Its period, ns.
+    /// The period, ns.
     pub period_ns: u64,
-    /// So many drives on the bus, each like the first of them; `None`: those that it has.
+    /// The number of drives on the bus, each like the first of them; `None`: those that it has.
     pub drives: Option<usize>,
     /// Which of the machines on this computer it is; 0 has the addresses of the plan.
     pub place: u8,

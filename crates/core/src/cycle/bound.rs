@@ -28,7 +28,7 @@ pub struct Paced<'a> {
     pub axis: &'a AxisPlan,
     /// When its exchanges end.
     pub pace: Pace,
-    /// So many requests leave before one with a stop.
+    /// The number of requests that leave before one with a stop.
     pub before_stop: u32,
 }
 

@@ -13,7 +13,7 @@ use crate::bus::load::{Load, Medium, Way};
 use crate::rt::host;
 use crate::time::{MS, Ns, S, US, three_digits};
 
-/// What it costs to hand something over and to take its answer in, ns.
+/// The cost of handing something over and of taking its answer in, ns.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Exchange {
     /// To send the request.
@@ -22,14 +22,14 @@ pub struct Exchange {
     pub receive_ns: u64,
 }
 
-/// What this host takes for the parts of a cycle.
+/// The times that this host takes for the parts of a cycle.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Costs {
     /// They were measured on this host.
     pub measured: bool,
     /// Of each [`Medium`], in their order.
     pub exchanges: [Exchange; 4],
-    /// What the driver of an interface takes for a frame, ns; by the interface's name.
+    /// The time of an interface's driver for a frame, ns; by the interface's name.
     pub drivers: Vec<(String, u64)>,
 }
 
@@ -40,7 +40,7 @@ pub const MEDIA: [&str; 4] = ["datagram", "stream", "frame", "telegram"];
 const CYCLE_NS: u64 = 10 * US;
 /// The loop's own work for a drive in a cycle, ns: twice what the bench `scale` measures with cold caches.
 const DRIVE_NS: u64 = 500;
-/// So much more own work the worst cycle has, in which all drives are lost, or all have a fault: budgets of the bench.
+/// The factor of own work in the worst cycle, in which all drives are lost, or all have a fault: budgets of the bench.
 const WORST: u64 = 4;
 /// A cycle should take no more of its period than this, per cent.
 const COMFORT: u64 = 70;
@@ -106,7 +106,7 @@ impl Costs {
     }
 }
 
-/// What tells whether costs are those of this host.
+/// Facts that say whether costs are those of this host.
 fn this_host() -> String {
     let [kernel, cpu] = [host::kernel(), host::cpu()].map(|fact| fact.unwrap_or_else(|| "?".to_owned()));
     format!("{kernel}, {cpu}")
@@ -130,14 +130,14 @@ impl Stages {
     }
 }
 
-/// What a wire carries in the slot in which it carries most.
+/// The load of a wire in its fullest slot.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Wire {
-    /// Its bus.
+    /// The bus.
     pub bus: String,
-    /// Its interface.
+    /// The interface.
     pub interface: String,
-    /// Its speed, Mbit/s.
+    /// The speed, Mbit/s.
     pub mbit_s: u64,
     /// Requests.
     pub count: usize,
@@ -145,7 +145,7 @@ pub struct Wire {
     pub ns: [u64; 2],
 }
 
-/// What the cycles of a plan cost.
+/// The cost of the cycles of a plan.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct CycleCost {
     /// The period, ns.
@@ -160,7 +160,7 @@ pub struct CycleCost {
     pub wires: Vec<Wire>,
     /// By measured costs.
     pub measured: bool,
-    /// What would fit, if this does not.
+    /// The settings that would fit, if this does not.
     remedy: String,
 }
 
@@ -218,7 +218,7 @@ impl Demand {
         self.buses.iter().filter_map(|bus| Some(bus.interface.as_ref()?.0.clone())).collect()
     }
 
-    /// What it costs.
+    /// The cost of these cycles.
     pub fn cost(&self, costs: &Costs) -> CycleCost {
         let drives: u64 = self.buses.iter().map(|bus| bus.due.len() as u64).sum();
         let own_ns = CYCLE_NS + drives * DRIVE_NS;
@@ -288,7 +288,7 @@ impl BusDemand {
         }
     }
 
-    /// What its wire carries in its fullest slot.
+    /// The load of its wire in its fullest slot.
     fn wire(&self) -> Option<Wire> {
         let (interface, mbit_s) = self.interface.as_ref()?;
         let mbit_s = mbit_s.filter(|mbit_s| *mbit_s > 0)?;
@@ -378,7 +378,7 @@ impl CycleCost {
         Some(format!("{why} ({basis}); {remedy}; cost = \"warn\" in [cycle] starts all the same"))
     }
 
-    /// What is tight, a line each.
+    /// The tight parts, a line each.
     pub fn warnings(&self) -> Vec<String> {
         let CycleCost { usual, worst, period_ns, deadline_ns, .. } = self;
         let mut lines = Vec::new();
@@ -405,7 +405,7 @@ impl CycleCost {
         lines
     }
 
-    /// What would fit.
+    /// The settings that would fit.
     pub fn remedy(&self) -> &str {
         &self.remedy
     }
@@ -490,7 +490,7 @@ mod tests {
     }
 
     #[test]
-    fn what_does_not_fit_is_refused_with_what_would() {
+    fn a_plan_that_does_not_fit_is_refused_with_a_period_that_does() {
         let of = |period_ns, drives| {
             demand(period_ns, &[(Medium::Datagrams, 1, drives, None)]).cost(&Costs::default())
         };

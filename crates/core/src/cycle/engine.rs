@@ -81,7 +81,7 @@ impl Control {
     }
 }
 
-/// What the loop itself shares with other threads.
+/// The state that the loop itself shares with other threads.
 #[derive(Debug)]
 pub struct Channels {
     /// Their requests.
@@ -101,7 +101,7 @@ pub struct Channels {
 }
 
 impl Channels {
-    /// What the control requests.
+    /// The requests of the control.
     fn requested(&self) -> u8 {
         self.log.value(RUN.into(), self.control.requested().into()) as u8
     }
@@ -116,12 +116,12 @@ pub struct AxisEntry {
     pub outlet: AxisOutlet,
 }
 
-/// What the loop keeps of an axis apart from what it touches in every cycle.
+/// The state of an axis that the loop does not touch in every cycle.
 #[derive(Debug)]
 pub struct AxisOutlet {
-    /// What stays the same of it.
+    /// The constants of the axis.
     pub info: AxisInfo,
-    /// Its numbers.
+    /// The numbers.
     pub numbers: Writer<DriveNumbers>,
 }
 
@@ -132,7 +132,7 @@ pub struct Engine<C> {
     deadline_ns: u64,
     late_ns: u64,
     numbers_every: usize,
-    /// Whose turn it was last.
+    /// The axis whose numbers were published last.
     numbers_turn: usize,
     longest_end_ns: u64,
     grid: Grid,
@@ -198,7 +198,7 @@ pub enum Flow {
     End,
 }
 
-/// What is left to be written of what is desired, once each axis was looked at alone.
+/// The part of the desired state that is left to be written, once each axis was looked at alone.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Left {
     Nothing,

@@ -136,7 +136,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_out_of_reach_for_long_leaves_nothing_behind() {
+    fn errors_out_of_reach_for_long_leave_no_correction() {
         // Far beyond what steps of a hundredth of the period can follow: the error wraps around again and again.
         // That is right.
         let mut grid = Grid(PhaseLock::new(MS), 0);

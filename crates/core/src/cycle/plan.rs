@@ -19,7 +19,7 @@ use crate::time::{MS, Ns, S, US};
 /// A whole machine. By default it has the usual cycle, and no bus.
 #[derive(Debug, Default)]
 pub struct Plan {
-    /// Its file, for messages; `None` if built in code.
+    /// The file, for messages; `None` if built in code.
     pub source: Option<PathBuf>,
     /// The cycle.
     pub cycle: CyclePlan,
@@ -32,13 +32,13 @@ pub struct Plan {
 /// Axes that act together.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct GroupPlan {
-    /// Its name, unique among groups.
+    /// The name, unique among groups.
     pub name: String,
-    /// Its members' names, two or more, in the order of its rows.
+    /// The members' names, two or more, in the order of its rows.
     pub axes: Vec<String>,
 }
 
-/// What is wrong with a plan that was built in code: one line each.
+/// The mistakes in a plan that was built in code: one line each.
 #[derive(Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{}", .0.join("\n"))]
 pub struct PlanErrors(pub Vec<String>);
@@ -72,7 +72,7 @@ impl Plan {
         self.axes().into_iter().map(|axis| axis.units).collect()
     }
 
-    /// What is known of each bus before the start.
+    /// The facts of each bus before the start.
     pub fn facts(&self) -> Vec<BusFacts> {
         self.buses.iter().map(|bus| bus.facts(self.cycle.grid())).collect()
     }
@@ -338,13 +338,13 @@ pub struct CyclePlan {
     pub max_skip_rate: f64,
     /// With larger shares than these of its cycles, slots and exchanges the period counts as not carried.
     pub tolerated: Shares,
-    /// What becomes of a plan whose cycle [costs](super::cost) more than its period.
+    /// The treatment of a plan whose cycle [costs](super::cost) more than its period.
     pub cost: OnCost,
     /// The bus whose clock leads the grid, by name. `None` = ours does.
     pub reference: Option<String>,
     /// Whether real-time scheduling is required.
     pub realtime: Realtime,
-    /// What memory is locked.
+    /// The memory to lock.
     pub memory: Memory,
     /// Longest time that the in-loop task may run, ns; longer is a stop. `None` = no budget.
     pub task_budget_ns: Option<u64>,
@@ -365,7 +365,7 @@ pub struct CyclePlan {
     pub record_native: Vec<String>,
 }
 
-/// What becomes of a plan whose cycle takes longer than its period, as estimated before the start.
+/// The treatment of a plan whose cycle takes longer than its period, as estimated before the start.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum OnCost {
     /// It is refused.
@@ -376,7 +376,7 @@ pub enum OnCost {
     Ignore,
 }
 
-/// What of a run was not as planned, 0 ... 1 each.
+/// The shares of a run that were not as planned, 0 ... 1 each.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Shares {
     /// Cycles that began late, of those executed; see [`CyclePlan::late_ns`].

@@ -57,7 +57,7 @@ impl Record {
         Some(axis.into())
     }
 
-    /// Its slot; of slots passed over, the first. An event between two cycles has the slot of the next one.
+    /// The slot; of slots passed over, the first. An event between two cycles has the slot of the next one.
     pub fn index(&self) -> u64 {
         match self {
             Record::Drive(DriveRecord { index, .. })
@@ -96,7 +96,7 @@ named! {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[repr(C)]
 pub struct CycleRecord {
-    /// Its slot.
+    /// The slot.
     pub index: u64,
     /// The instant of its slot on the grid.
     pub grid: Time,
@@ -106,7 +106,7 @@ pub struct CycleRecord {
     pub jitter_ns: u32,
     /// How long each [`Stage`] took, ns.
     pub stages_ns: [u32; 6],
-    /// What the kernel had counted against the loop's thread; read only after a late cycle.
+    /// The kernel's counts against the loop's thread; read only after a late cycle.
     pub look: Option<Look>,
     /// Exchanges with drives that are online, not answered in this window.
     pub missed: u16,
@@ -186,7 +186,7 @@ pub struct SkippedRecord {
     pub look: Option<Look>,
 }
 
-/// What the kernel counted against the loop's thread since it began, modulo 2^32.
+/// The kernel's counts against the loop's thread since it began, modulo 2^32.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[repr(C)]
 pub struct Look {

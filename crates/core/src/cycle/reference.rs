@@ -50,7 +50,7 @@ impl Reference {
         self.bus
     }
 
-    /// Its counts.
+    /// The counts.
     pub fn status(&self) -> ReferenceStatus {
         self.status
     }
@@ -132,7 +132,7 @@ mod tests {
     }
 
     #[test]
-    fn it_is_locked_by_errors_within_the_bound_in_a_row() {
+    fn reference_locks_by_errors_within_the_bound_in_a_row() {
         let mut reference = Reference::new(0, MS);
         let mut take = |error| reference.take(0, error).locked;
         assert!((0..49).all(|_| !take(Some(-10_000))));
@@ -146,7 +146,7 @@ mod tests {
     }
 
     #[test]
-    fn it_is_lost_by_errors_far_outside_in_a_row_and_not_by_one_or_by_silence() {
+    fn reference_is_lost_by_errors_far_outside_in_a_row_and_not_by_one_or_by_silence() {
         let mut reference = locked();
         for (index, error) in
             [40_001, -40_001, 40_000, 40_001, 12_000, 40_001, 40_001].into_iter().enumerate()

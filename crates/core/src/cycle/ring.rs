@@ -20,7 +20,7 @@ use super::record::Record;
 use super::stored::{LAYOUT, RECORD};
 use crate::rt::{Mapping, Regions, memory};
 
-/// What the memory begins with.
+/// The first bytes of the memory.
 const MARK: [u8; 8] = *b"FBRECORD";
 
 /// Where what its owner says of the records begins.
@@ -208,7 +208,7 @@ impl RecordWriter {
         self.written += 1;
     }
 
-    /// What was written may be read.
+    /// Written entries may be read.
     #[inline(always)]
     fn announce(&self) {
         self.shared.head().written.store(self.written, Ordering::Release);
@@ -230,7 +230,7 @@ pub struct RecordReader {
     shared: Arc<Shared>,
     kept: u64,
     next: Cell<u64>,
-    /// So many were written when it was looked last.
+    /// The number of written entries at the last look.
     seen: Cell<u64>,
 }
 
@@ -302,13 +302,13 @@ pub fn say(memory: &File, text: &str) -> io::Result<()> {
     memory.write_all_at(&text.as_bytes()[..text.len().min(MOST_SAID)], SAID as u64)
 }
 
-/// What a process has left in its memory.
+/// The records that a process has left in its memory.
 #[derive(Debug)]
 pub struct Remains<F> {
     memory: F,
-    /// What it says of the records.
+    /// The description of the records.
     pub about: Vec<u8>,
-    /// What its guardian has done; empty: nothing.
+    /// The report of its guardian; empty: none.
     pub said: String,
     begin: u64,
     slots: u64,
@@ -554,7 +554,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_read_stays_until_its_slot_is_used_again() {
+    fn a_read_entry_stays_until_its_slot_is_reused() {
         let (mut writer, mut reader, _) =
             super::records(4, Kept { records: 3, about: None }, &mut Regions::new());
         assert!((0..4).all(|index| writer.push(cycle(index))) && !writer.push(cycle(9)));

@@ -1,6 +1,6 @@
 //! How many of the last slots were skipped: a loop that executes now and then a slot is out of control, too.
 
-/// So many slots are counted.
+/// The number of slots that are counted.
 pub const SLOTS: u32 = 100;
 
 /// The last slots.
@@ -22,7 +22,7 @@ impl Skips {
         self.recent = (self.recent << 1) & LAST;
     }
 
-    /// So many slots were skipped. True if that are too many of the last ones.
+    /// Enters `count` skipped slots. True if too many of the last ones were skipped.
     pub fn skipped(&mut self, count: u64) -> bool {
         let count = count.min(SLOTS.into()) as u32;
         self.recent = ((self.recent << count) | ((1 << count) - 1)) & LAST;

@@ -84,7 +84,7 @@ parts! {
 packed!(Status, BusNumbers);
 
 impl Status {
-    /// Its counts, which are its first words: all that changes in a usual cycle.
+    /// The counts, which are its first words: all that changes in a usual cycle.
     #[doc(hidden)]
     pub fn counts(&self) -> [u64; 11] {
         [
@@ -103,25 +103,25 @@ impl Status {
     }
 }
 
-/// What stays the same of an axis for the readers of its numbers.
+/// The constants of an axis for the readers of its numbers.
 #[derive(Clone, Debug)]
 pub struct AxisInfo {
-    /// Its name.
+    /// The name.
     pub name: String,
-    /// Its protocol's name.
+    /// The protocol's name.
     pub protocol: &'static str,
     /// If it needs a connection: the notes of its bus, and its index there.
     pub connection: Option<(Arc<dyn Notes>, usize)>,
-    /// What its counts mean if it is not online.
+    /// The meaning of its counts if it is not online.
     pub diagnosis: &'static [Row],
-    /// Its link as it was seen so far.
+    /// The link as it was seen so far.
     pub seen: Seen,
     /// The index of its bus.
     pub bus: usize,
 }
 
 impl AxisInfo {
-    /// What is wrong with its link, or was when that was lost, and whether it is now; `None`: nothing is, or nothing is
+    /// The symptom of its link, now or when it was lost, and whether it is now; `None`: nothing is wrong, or nothing is
     /// known yet.
     fn diagnosis(&self, link: Link, numbers: &DriveNumbers, unmatched: &Unmatched) -> Option<(String, bool)> {
         let noted = self.connection.as_ref();
@@ -132,7 +132,7 @@ impl AxisInfo {
         why.map(|why| (why, is_now))
     }
 
-    /// What is to be known of it although it is in operation.
+    /// The remark on the drive although it is in operation.
     fn remark(&self) -> Option<String> {
         let (notes, index) = self.connection.as_ref()?;
         notes.remark(*index).map(|remark| format!("drive {}: {remark}", self.name))
@@ -158,27 +158,27 @@ impl AxisInfo {
     }
 }
 
-/// What stays the same of a bus for the readers of its numbers.
+/// The constants of a bus for the readers of its numbers.
 #[derive(Clone, Debug)]
 pub struct BusInfo {
-    /// Its name.
+    /// The name.
     pub name: String,
     /// The names of its devices that are not drives.
     pub devices: Vec<String>,
-    /// What its protocol counts of each.
+    /// The counts of its protocol for each.
     pub own_counters: &'static [OwnCounter],
-    /// What it reports of itself in addition.
+    /// The additional notes of the bus.
     pub notes: Option<Arc<dyn Notes>>,
 }
 
 impl BusInfo {
-    /// Its name and its counts, with those that only a normal thread may read from the kernel.
+    /// The name and its counts, with those that only a normal thread may read from the kernel.
     pub fn with(&self, unmatched: Unmatched) -> (String, Unmatched) {
         let dropped = self.notes.as_ref().map_or(0, |notes| notes.dropped());
         (self.name.clone(), Unmatched { dropped: unmatched.dropped + dropped, ..unmatched })
     }
 
-    /// What is to be known of its devices although they are in operation.
+    /// The remarks on its devices although they are in operation.
     fn remarks(&self) -> impl Iterator<Item = String> {
         self.devices.iter().enumerate().filter_map(|(index, name)| {
             let remark = self.notes.as_ref()?.device_remark(index)?;
@@ -186,7 +186,7 @@ impl BusInfo {
         })
     }
 
-    /// Its devices that are not drives.
+    /// The devices that are not drives.
     pub fn devices(&self) -> impl Iterator<Item = DeviceEnd> {
         self.devices.iter().enumerate().map(|(index, name)| DeviceEnd {
             name: name.clone(),
@@ -226,12 +226,12 @@ impl Gauges {
         self.drive(self.axes.get(index)?).not_connected
     }
 
-    /// What takes part without being a drive, in the order of the plan.
+    /// The devices that are no drives, in the order of the plan.
     pub fn devices(&self) -> Vec<DeviceEnd> {
         self.buses.iter().flat_map(|bus| bus.info.devices()).collect()
     }
 
-    /// What is to be known of drives and devices although they are in operation, a line each.
+    /// The remarks on drives and devices although they are in operation, a line each.
     pub fn remarks(&self) -> Vec<String> {
         let drives = self.axes.iter().filter_map(|axis| axis.info.remark());
         drives.chain(self.buses.iter().flat_map(|bus| bus.info.remarks())).collect()
@@ -241,20 +241,20 @@ impl Gauges {
 /// Readers of one axis.
 #[derive(Debug)]
 pub struct AxisGauge {
-    /// What stays the same.
+    /// The constants of the axis.
     pub info: AxisInfo,
-    /// Its newest feedback.
+    /// The newest feedback.
     pub observer: Observer,
-    /// Its numbers; at most 64 cycles or 100 ms old.
+    /// The numbers; at most 64 cycles or 100 ms old.
     pub numbers: Reader<DriveNumbers>,
 }
 
 /// Readers of one bus; at most 64 cycles or 100 ms old.
 #[derive(Debug)]
 pub struct BusGauge {
-    /// What stays the same.
+    /// The constants of the bus.
     pub info: BusInfo,
-    /// Its numbers.
+    /// The numbers.
     pub numbers: Reader<BusNumbers>,
 }
 
@@ -263,11 +263,11 @@ pub struct BusGauge {
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
 #[non_exhaustive]
 pub struct DeviceEnd {
-    /// Its name.
+    /// The name.
     pub name: String,
     /// Why it is not in operation; `None`: it is, or was until the orderly end.
     pub not_operational: Option<String>,
-    /// What only its protocol counts, by its key.
+    /// The counts that only its protocol has, by their keys.
     pub protocol_counters: ProtocolCounters,
 }
 
@@ -275,9 +275,9 @@ pub struct DeviceEnd {
 #[derive(Clone, Debug, Default, PartialEq)]
 #[non_exhaustive]
 pub struct DriveEnd {
-    /// Its axis' name.
+    /// The axis' name.
     pub name: String,
-    /// Its protocol's name.
+    /// The protocol's name.
     pub protocol: &'static str,
     /// The last feedback.
     pub feedback: Feedback,
@@ -285,13 +285,13 @@ pub struct DriveEnd {
     pub not_connected: Option<String>,
     /// The same, and also of a drive that was lost and is back: why it was.
     pub diagnosis: Option<String>,
-    /// Its exchanges.
+    /// The exchanges.
     pub counters: Counters,
     /// Times that the link was lost.
     pub losses: u64,
-    /// Its largest times.
+    /// The largest times.
     pub peaks: Peaks,
-    /// Its monitored variables, in the order of its channels; `None` = not seen yet.
+    /// The monitored variables, in the order of its channels; `None` = not seen yet.
     pub monitor: [Option<Extent>; MONITOR_CHANNELS],
     /// How it was left; `None` before the end of the run, and for a drive that has never reported its state and of
     /// which nothing was requested.
@@ -375,7 +375,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_published_is_what_was_counted() {
+    fn published_counters_equal_the_counted_ones() {
         let reference =
             ReferenceStatus { locked: true, error_ns: -31, step_ns: 34, ..ReferenceStatus::default() };
         for reference in [None, Some(reference)] {

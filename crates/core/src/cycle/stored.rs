@@ -11,7 +11,7 @@ use super::record::{
     Record, ReferenceRecord, Reply, SkippedRecord,
 };
 use crate::axis::{CommandId, Link, Shown, State, StopCause};
-use crate::drive::record::What;
+use crate::drive::record::EventCode;
 use crate::time::Time;
 
 /// The version of the layout. What it holds for is the size of a record and all that this file reads.
@@ -79,7 +79,7 @@ numbered! {
     Reply as u8: |number| Reply::ALL.get(usize::from(number)).copied(), |reply| reply as u8;
     Link as u8: |number| Link::ALL.get(usize::from(number)).copied(), |link| link as u8;
     State as u8: |number| State::ALL.get(usize::from(number)).copied(), |state| state as u8;
-    What as u8: What::of, |what| what as u8;
+    EventCode as u8: EventCode::of, |what| what as u8;
     Option<NonZeroU32> as u32: |number| Some(NonZeroU32::new(number)), |number: Option<_>| {
         number.map_or(0, NonZeroU32::get)
     };
@@ -173,7 +173,7 @@ macro_rules! kinds {
                 }
             }
 
-            /// Its bytes as they lie in memory, for another process of this computer. What is only a text is not in
+            /// The bytes as they lie in memory, for another process of this computer. What is only a text is not in
             /// them.
             #[doc(hidden)]
             pub fn store(&self) -> [u8; RECORD] {

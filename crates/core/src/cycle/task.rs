@@ -23,7 +23,7 @@ pub struct Axes<'a> {
     log: &'a InputLog,
 }
 
-/// What the task has requested of an axis, by its index: all that leaves it, and what was refused by no rule of the
+/// The task's requests of an axis, by its index: all that leaves it, and what was refused by no rule of the
 /// loop.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum TaskCall {

@@ -4,7 +4,7 @@
 
 use crate::time::{MS, Time};
 
-/// So many polls without a sign of life, each of them on time, come before the verdict: a host that holds up
+/// The number of polls without a sign of life, each of them on time, before the verdict: a host that holds up
 /// everything, or a stopped process that continues, delays the watch like the loop.
 const ON_TIME: u32 = 3;
 
@@ -26,14 +26,14 @@ pub struct Watch {
     on_time: u32,
 }
 
-/// What one poll found.
+/// The result of one poll.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Verdict {
     /// There was a sign of life since the last poll, or the loop has not begun.
     Alive,
     /// There was none for so long, ns.
     Silent(u64),
-    /// Its cycle does not end: it was silent for so long, ns.
+    /// The cycle does not end: it was silent for so long, ns.
     Stuck(u64),
 }
 
@@ -119,7 +119,7 @@ mod tests {
     }
 
     #[test]
-    fn what_holds_up_the_watch_itself_is_not_charged_to_the_loop() {
+    fn delays_of_the_watch_thread_are_not_charged_to_the_loop() {
         // Stopped for an hour, with the loop, and then both go on.
         let mut watch = Watch::new(100 * MS);
         watch.poll(Time(0), 7);

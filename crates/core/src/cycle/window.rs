@@ -26,7 +26,7 @@ pub struct Window {
     /// One of the buses wants to be polled.
     polls: bool,
     poll_set: PollSet,
-    /// What each bus waits for, as of the last call of it.
+    /// The replies that each bus waits for, as of the last call of it.
     waits: Box<[Waits]>,
     /// The learned time from the first look that found replies to the last reply, ns: a sufficient nap makes it a
     /// sixteenth shorter, one that was too short a quarter longer.
@@ -37,15 +37,15 @@ pub struct Window {
 pub struct OpenBus {
     /// The bus.
     pub bus: Box<dyn Bus>,
-    /// What stays the same of it.
+    /// The constants of the bus.
     pub info: BusInfo,
-    /// Its first slot.
+    /// The first slot.
     pub first: usize,
     /// One past its last slot.
     pub end: usize,
     /// A call of it is under way, or has panicked.
     pub is_at_work: bool,
-    /// Its numbers.
+    /// The numbers.
     pub numbers: Writer<BusNumbers>,
     /// It is on a half-duplex wire, and wants to be polled.
     pub is_polled: bool,
@@ -115,7 +115,7 @@ impl OpenBus {
         self.gate.wires.memory(regions);
     }
 
-    /// What the window waits for on the bus.
+    /// The replies that the window waits for on the bus.
     #[inline]
     pub fn waits(&self, cycle: &Cycle, slots: &[Slot]) -> Waits {
         self.bus.waits(cycle, &slots[self.first..self.end])
@@ -264,7 +264,7 @@ impl Window {
         self.waits[place] = open.waits(cycle, slots);
     }
 
-    /// What all of them wait for.
+    /// The replies that all of them wait for.
     #[inline]
     fn all<const POLLS: bool>(&self) -> (usize, Time) {
         let left = self.waits.iter().map(|waits| waits.replies).sum();
@@ -300,7 +300,7 @@ mod tests {
     struct Steps {
         steps: Vec<(&'static str, Time)>,
         arrives: Time,
-        /// So many readings at the begin of a turn in which nothing had come.
+        /// The number of readings at the begin of a turn in which nothing had come.
         turns: usize,
     }
 

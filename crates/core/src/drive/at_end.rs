@@ -12,7 +12,7 @@ named! {
     #[repr(u8)]
     #[non_exhaustive]
     pub enum Condition {
-        /// Its last report says so: without power, and at standstill.
+        /// The last report says so: without power, and at standstill.
         Off = 0: "off",
         /// Powered and at standstill, as planned: only the drive holds its vertical load.
         Held = 1: "held",
@@ -26,7 +26,7 @@ named! {
 }
 
 named! {
-    /// What a stop requests of a drive.
+    /// The requests of a stop to a drive.
     #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
     #[repr(u8)]
     #[non_exhaustive]
@@ -61,9 +61,9 @@ impl Requested {
     }
 }
 
-/// What the loop knows of a drive besides its last report.
+/// The loop's knowledge of a drive besides its last report.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Known {
+pub(super) struct LoopFacts {
     /// The standstill window, user units/s.
     pub standstill: f64,
     /// It answered until its bus ended the link.
@@ -72,9 +72,9 @@ pub(super) struct Known {
     pub ours: bool,
     /// Power on was requested, and no later report shows that it is off.
     pub may_rise: bool,
-    /// Its stop is complete, and leaves it powered because only the drive holds its load.
+    /// The stop is complete, and leaves it powered because only the drive holds its load.
     pub holds: bool,
-    /// What its stop has requested.
+    /// The requests of its stop.
     pub requested: Requested,
     /// The wires were taken from the loop.
     pub stuck: bool,
@@ -87,7 +87,7 @@ pub(super) struct Known {
 pub struct AtEnd {
     /// How it was left.
     pub condition: Condition,
-    /// What its stop has requested of it, in this order; empty: it was only read, or the loop was stuck.
+    /// The requests of its stop, in this order; empty: it was only read, or the loop was stuck.
     pub requested: Vec<StopRequest>,
     /// The loop has not come to an orderly end, and read no report in it.
     #[cfg_attr(feature = "serde", serde(skip))]
@@ -96,7 +96,7 @@ pub struct AtEnd {
 
 impl AtEnd {
     /// `None`: the drive has never reported its state, and nothing was requested of it.
-    pub(super) fn of(known: Known, feedback: &Feedback) -> Option<AtEnd> {
+    pub(super) fn of(known: LoopFacts, feedback: &Feedback) -> Option<AtEnd> {
         let status = &feedback.status;
         let (state, powered) = (status.state, status.state.is_powered());
         // A velocity that is not known (NaN) says nothing. Without power no setpoint generator moves the axis.
@@ -189,7 +189,7 @@ mod tests {
     use super::*;
     use crate::axis::{DriveStatus, Link};
 
-    const OURS: Known = Known {
+    const OURS: LoopFacts = LoopFacts {
         standstill: 1.0,
         answers: true,
         ours: true,
@@ -204,17 +204,17 @@ mod tests {
         Feedback { link, status, ..Feedback::default() }
     }
 
-    fn condition(known: Known, feedback: &Feedback) -> Option<Condition> {
-        let known = Known { answers: matches!(feedback.link, Link::Online | Link::Qualifying), ..known };
+    fn condition(known: LoopFacts, feedback: &Feedback) -> Option<Condition> {
+        let known = LoopFacts { answers: matches!(feedback.link, Link::Online | Link::Qualifying), ..known };
         AtEnd::of(known, feedback).map(|end| end.condition)
     }
 
     #[test]
     fn only_what_is_held_as_planned_is_held_and_what_is_silent_is_off_only_if_nothing_can_have_powered_it() {
         use State::{OperationEnabled, ReadyToSwitchOn, SwitchOnDisabled, Unknown};
-        let holds = Known { holds: true, ..OURS };
-        let found = Known { ours: false, ..OURS };
-        let rising = Known { may_rise: true, ..OURS };
+        let holds = LoopFacts { holds: true, ..OURS };
+        let found = LoopFacts { ours: false, ..OURS };
+        let rising = LoopFacts { may_rise: true, ..OURS };
         for (known, link, state, velocity, expected) in [
             (holds, Link::Online, OperationEnabled, 0.0, Some(Condition::Held)),
             (holds, Link::Online, OperationEnabled, 1.1, Some(Condition::Moving)),
@@ -235,13 +235,13 @@ mod tests {
     }
 
     #[test]
-    fn what_was_tried_is_named_in_its_order() {
+    fn stop_requests_are_listed_in_their_order() {
         let mut requested = Requested::default();
         requested.note(Some(Command::Enable));
         requested.note(None);
         assert_eq!(requested.list(), []);
         let line = |requested: Requested, feedback: &Feedback| {
-            let known = Known { requested, ..OURS };
+            let known = LoopFacts { requested, ..OURS };
             AtEnd::of(known, feedback).and_then(|end| end.line(feedback, Unit::Millimetre))
         };
         let feedback = seen(Link::Online, State::OperationEnabled, 20.0);

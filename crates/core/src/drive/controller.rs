@@ -68,7 +68,7 @@ pub struct Queues {
     pub journal: Journal,
 }
 
-/// What the loop keeps of one axis.
+/// The loop's state of one axis.
 ///
 /// What each cycle touches lies on as few cache lines as possible: one that all stages look at, with the head of the
 /// duty; one of the link and of the largest times, with the head of the health; the end of the watch and the feedback
@@ -82,7 +82,7 @@ pub struct DriveController {
     /// Something is to be looked at with the next commands: its bell has rung, or a command waits. It saves 55
     /// instructions a drive and cycle.
     called: bool,
-    /// Its exchange waits for its turn on a half-duplex wire.
+    /// The exchange waits for its turn on a half-duplex wire.
     queued: bool,
     /// Who stops with it, since the loop last checked.
     along: Along,
@@ -96,7 +96,7 @@ pub struct DriveController {
     shown: u8,
     /// Each feedback goes into a queue, too: the plan requests it.
     has_samples: bool,
-    /// What this cycle has measured, for the telemetry.
+    /// The measurements of this cycle, for the telemetry.
     measured: Measured,
     /// How long after its grid point the previous request left; [`NEVER`](Self::NEVER): none has left.
     phase_ns: u64,
@@ -145,9 +145,9 @@ pub struct DriveController {
     /// Events and samples for which there was no room, since the loop last took their number.
     lost: u64,
     ending: Ending,
-    /// What was requested of the drive since its axis was stopped.
+    /// The requests to the drive since its axis was stopped.
     requested: Requested,
-    /// So many exchanges were missed in this cycle, where some were of earlier ones.
+    /// The number of exchanges missed in this cycle, where some were of earlier ones.
     misses: u32,
     /// The slots of the largest times.
     largest_in: Largest,

@@ -248,7 +248,7 @@ mod tests {
     }
 
     impl Machine {
-        /// So many, in this stop group.
+        /// `axes` axes, in this stop group.
         fn new(axes: usize, group: Option<u16>) -> Machine {
             let mut plan = plan();
             plan.stop.group = group;
@@ -511,7 +511,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_group_does_ends_at_all_members_when_it_ends_at_one_before_it_is_done() {
+    fn a_group_command_that_ends_early_at_one_member_ends_at_all() {
         let failed = |m: &Machine, axis| {
             let mut expected = vec![Some(StopCause::Group); m.controllers.len()];
             expected[axis] = Some(StopCause::GroupFailed);

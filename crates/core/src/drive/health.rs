@@ -122,7 +122,7 @@ impl LinkHealth {
         }
     }
 
-    /// Its next own slot after `index`.
+    /// The next own slot after `index`.
     fn next_own(&self, index: u64) -> u64 {
         let (next, divisor) = (index + 1, u64::from(self.divisor));
         next + (u64::from(self.phase) + divisor - next % divisor) % divisor
@@ -229,7 +229,7 @@ mod tests {
     }
 
     impl LinkHealth {
-        /// So many answers in a slot, or misses.
+        /// Enters `count` answers in a slot, or misses.
         fn good(&mut self, count: u32, index: u64) {
             (0..count).for_each(|_| self.answered(index));
         }
@@ -399,7 +399,7 @@ mod tests {
     }
 
     #[test]
-    fn a_drive_that_can_be_asked_again_is_asked_at_once_and_divisor_and_phase_choose_its_slots() {
+    fn a_ready_drive_is_requested_at_once_and_divisor_and_phase_choose_its_slots() {
         let mut health = unseen(4, 3, 0, Probes::Spaced);
         assert_eq!(health.due(0..11, true), [0]);
         health.reachable(10);

@@ -66,7 +66,7 @@ mod tests {
     use crate::axis::EventKind;
 
     #[test]
-    fn what_finds_no_room_is_counted() {
+    fn entries_without_room_are_counted() {
         let mut journal = Journal::new(1, &mut Regions::default());
         let room = journal.notes.capacity();
         assert!(room >= NOTES_A_COMMAND + EVENTS);

@@ -133,12 +133,12 @@ struct DriveStop {
     plan: (StopPlan, Load),
     reply: Reply,
     telegrams: Telegrams,
-    /// What it was sent last; `None`: the master has never commanded it.
+    /// The last request sent to it; `None`: the master has never commanded it.
     sent: Option<Sent>,
     /// `None`: it has not begun.
     sequence: Option<StopSequence>,
     was_down: bool,
-    /// What came since the last round.
+    /// The state that came since the last round.
     fresh: Option<(Time, Sighted)>,
     /// The newest of those before, and since when it is.
     last: Option<(Time, Sighted)>,
@@ -146,7 +146,7 @@ struct DriveStop {
     silent: u32,
 }
 
-/// What a round sends.
+/// The telegrams of a round.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Sent {
     Look,
@@ -186,7 +186,7 @@ impl DriveStop {
         }
     }
 
-    /// What is sent now; `None`: the master does not command the drive.
+    /// The telegram to send now; `None`: the master does not command the drive.
     fn step(&mut self, now: Time, taken: Time, drive: &LastDrive) -> Option<&Telegram> {
         let sent = match (self.sent, drive.sent()) {
             (None, Power::Untouched) => return None,
@@ -236,7 +236,7 @@ impl DriveStop {
         sent
     }
 
-    /// What is known of it now.
+    /// The state of the drive as known now.
     fn look(&mut self, drive: &LastDrive) -> Sight {
         let fresh = self.fresh.take();
         self.silent = if fresh.is_some() { 0 } else { self.silent.saturating_add(1) };
@@ -404,7 +404,7 @@ mod tests {
     }
 
     #[test]
-    fn what_holds_is_halted_again_when_it_moves() {
+    fn a_held_axis_that_moves_is_halted_again() {
         let mut bench = Bench::new(Some(true), |axis| axis.stop.then = StopThen::Hold);
         assert_eq!(bench.until(S, Some((ON, 0, false))), HALT);
         assert!(bench.stop.is_done());
@@ -415,7 +415,7 @@ mod tests {
     }
 
     #[test]
-    fn of_more_drives_than_are_named_those_that_were_not_seen_to_stop_come_first() {
+    fn drives_not_seen_to_stop_are_named_first() {
         let named = |name: String| {
             let axis = AxisPlan::new(name, Units::millimetres(1_000.0));
             LastDrive::new(&axis, MS, "127.0.0.1:7".parse().unwrap(), telegrams(), REPLY)
@@ -453,7 +453,7 @@ mod tests {
         assert!(!bench.stop.is_done());
     }
 
-    /// Its last request was to be on, or is believed to have been: one that switched it off may have left behind that.
+    /// The last request was to be on, or is believed to have been: one that switched it off may have left behind that.
     #[test]
     fn a_drive_that_shows_no_power_is_never_halted_which_would_switch_it_on() {
         let mut bench = Bench::new(Some(true), |_| {});

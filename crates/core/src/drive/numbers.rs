@@ -79,16 +79,16 @@ impl Extent {
     }
 }
 
-/// What the loop counts of one drive, published in turns.
+/// The loop's counts of one drive, published in turns.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct DriveNumbers {
-    /// Its exchanges.
+    /// The exchanges.
     pub counters: Counters,
     /// Times that the link was lost.
     pub losses: u64,
-    /// Its largest times.
+    /// The largest times.
     pub peaks: Peaks,
-    /// Its monitored variables; `None` = not seen yet.
+    /// The monitored variables; `None` = not seen yet.
     pub monitor: [Option<Extent>; MONITOR_CHANNELS],
 }
 

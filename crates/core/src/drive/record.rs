@@ -5,8 +5,8 @@ mod event;
 
 use std::num::NonZeroU32;
 
+pub(crate) use self::event::EventCode;
 pub use self::event::EventRecord;
-pub(crate) use self::event::What;
 use crate::axis::units::way;
 use crate::axis::{Command, CommandId, Feedback, Link, QueuedCommand, Shown, State, StopCause};
 use crate::named;
@@ -87,11 +87,11 @@ pub struct DriveRecord {
     pub stopped: Option<StopCause>,
     /// The command that runs, as [`Command::code`](crate::axis::Command::code); 0 = none.
     pub command: u8,
-    /// What is true of it.
+    /// The flags of the drive.
     pub flags: DriveFlags,
 }
 
-/// What is true of a drive in a cycle.
+/// The flags of a drive in a cycle.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[repr(transparent)]
 pub struct DriveFlags(u8);
@@ -114,7 +114,7 @@ impl DriveFlags {
     }
 }
 
-/// What a cycle has measured of a drive, as in its [`DriveRecord`].
+/// The measurements of a drive in a cycle, as in its [`DriveRecord`].
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Measured {
     pub reply: Reply,
@@ -213,7 +213,7 @@ named! {
 pub struct CommandRecord {
     /// The slot.
     pub index: u64,
-    /// Its id.
+    /// The id.
     pub id: CommandId,
     /// The command. Its first word is its code, which is in the lowest byte; above it the step, a byte, whether it is
     /// one to a group, a byte, and two axes.

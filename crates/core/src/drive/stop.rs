@@ -56,7 +56,7 @@ pub struct StopSequence {
     seen_off: bool,
 }
 
-/// What the loop saw of the drive in this cycle.
+/// The loop's view of the drive in this cycle.
 #[derive(Clone, Copy, Debug)]
 pub struct Sight {
     /// New values came in.
@@ -325,7 +325,7 @@ mod tests {
     const POWER_OFF: Option<Command> = Some(Command::Disable);
     const QUICK: Option<Command> = Some(Command::QuickStop);
 
-    /// What was reported before: held values prove nothing.
+    /// The report of before: held values prove nothing.
     fn held(sight: Sight) -> Sight {
         Sight { fresh: false, ..sight }
     }
@@ -417,7 +417,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_is_switched_off_blindly_and_a_drive_that_comes_back_is_requested_again_what_was_last() {
+    fn a_stop_switches_nothing_off_blindly_and_repeats_its_last_request_after_a_reconnect() {
         for quickened in [false, true] {
             let plan = plan(Ramp, Disable);
             let mut sequence = start(plan, 100.0);
@@ -460,7 +460,7 @@ mod tests {
     }
 
     #[test]
-    fn a_drive_that_is_off_already_is_told_so_all_the_same() {
+    fn a_drive_that_is_off_already_gets_the_power_off_request() {
         let (mut sequence, command) = StopSequence::start(plan(Coast, Disable), Load::Level, Time(5), 0.0);
         assert_eq!(command, Command::Disable);
         // A reply that is older than the command says nothing, nor does a held one.

@@ -27,7 +27,7 @@ use crate::bus::Slot;
 use crate::bus::desired::Evidence;
 use crate::time::{MS, Time, nanos};
 
-/// So many reports in a row are proof: one that a disturbance has made leads there and back again.
+/// The number of reports in a row that are proof: one that a disturbance has made leads there and back again.
 const REPORTS: u32 = 3;
 
 /// A speed just at its limit is not refused for the rounding of positions and instants.
@@ -51,7 +51,8 @@ const FASTEST_REV: f64 = 500.0;
 /// A drive may have taken one of two positions by so much earlier than the other, ns, or by an exchange if that is
 /// longer: its status may be some ms old (LinUDP sheet, 3.5).
 const SHIFT_NS: u64 = 2 * MS;
-/// So many reports in a row that agree neither with the last one that counted nor with each other are no damage either.
+/// The number of reports in a row that agree neither with the last one that counted nor with each other and are no
+/// damage.
 const MOST_HELD: u8 = 4;
 
 /// An axis whose command is done stands still within this time, ns, or within `standstill_for` exchanges if that is
@@ -72,14 +73,14 @@ pub(super) struct Sample {
     pub position: f64,
     pub demand: f64,
     pub demand_velocity: f64,
-    /// What shows how the axis is led: the demand, or the actual position of a drive that is not led by it, user units
-    /// within one turn; NaN if the drive reports none, or if this is no report.
+    /// The value that shows how the axis is led: the demand, or the actual position of a drive that is not led by it,
+    /// user units within one turn; NaN if the drive reports none, or if this is no report.
     pub shown: f64,
     /// Actual velocity, user units/s.
     pub velocity: f64,
     /// Positions are counted from the reference.
     pub homed: bool,
-    /// Its demand leads the drive; under torque no position does.
+    /// The demand leads the drive; under torque no position does.
     pub led: bool,
 }
 
@@ -106,10 +107,10 @@ impl Sample {
     }
 }
 
-/// What a report says to be lost: power or the hardware enable, and the reference.
+/// The reported losses: power or the hardware enable, and the reference.
 pub(super) type Losses = (bool, bool);
 
-/// What becomes of a report that is not a usual one.
+/// The treatment of a report that is not a usual one.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Weight {
     /// It counts.
@@ -123,7 +124,7 @@ pub(super) enum Weight {
 /// How far the axis may be.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Bound {
-    /// Its origin may change: anywhere.
+    /// The origin may change: anywhere.
     None,
     /// As far as the fastest axis.
     Fastest,
@@ -140,7 +141,7 @@ pub(super) struct Watched {
     pub braking: bool,
 }
 
-/// What an axis with power may still do.
+/// The permitted motion of an axis with power.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) enum Phase {
     /// Move: something commands it.
@@ -189,14 +190,14 @@ pub(super) struct Watch {
     rest: Rest,
     /// The last report that counted.
     last: Sample,
-    /// So many reports in a row say a loss ...
+    /// The number of reports in a row that say a loss ...
     pub losses: u8,
     /// ... of as many that prove it; the newest of them says these.
     pub proof: u8,
     pub said: Losses,
     /// The position has jumped: what the drive says of its reference does not count until it homes or restarts.
     pub unreferenced: bool,
-    /// So many reports in a row did not count.
+    /// The number of reports in a row that did not count.
     held_for: u8,
     /// The last report is new since the limits were looked at.
     fresh: bool,
@@ -211,7 +212,7 @@ pub(super) struct Watch {
     bounds: Bounds,
 }
 
-/// What each report is compared with.
+/// The values that each report is compared with.
 #[derive(Clone, Copy, Debug)]
 #[repr(C)]
 struct Bounds {
@@ -233,7 +234,7 @@ struct Bounds {
     turn: f64,
 }
 
-/// What is expected of an axis that nothing commands.
+/// The expected motion of an axis that nothing commands.
 #[derive(Clone, Copy, Debug)]
 #[repr(C)]
 struct Rest {
@@ -247,7 +248,7 @@ struct Rest {
     reaction_s: f64,
 }
 
-/// What else the plan allows.
+/// The other limits of the plan.
 #[derive(Clone, Copy, Debug)]
 #[repr(C)]
 struct Rules {
@@ -322,7 +323,7 @@ impl Watch {
         }
     }
 
-    /// What was reported so far shows no speed and no following error any more.
+    /// Forgets earlier reports for the speed and the following error.
     pub fn forget(&mut self) {
         (self.last.shown, self.velocity, self.fresh) = (f64::NAN, 0.0, false);
         (self.broken, self.strayed) = (InARow::default(), InARow::default());
@@ -490,7 +491,7 @@ impl Watch {
         !(slow && inside)
     }
 
-    /// What the axis may do from now on.
+    /// Sets the permitted motion of the axis from now on.
     #[inline]
     pub fn expect(&mut self, phase: Phase) {
         self.commanded = phase == Phase::Commanded;

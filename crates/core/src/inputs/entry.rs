@@ -12,11 +12,11 @@
 
 use crate::time::Time;
 
-/// What an entry is.
+/// The kind of an entry.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub enum Kind {
-    /// So many looks more found what is usual. No payload.
+    /// A number of further looks that found the usual. No payload.
     Gap,
     /// A word: the time from which the next difference counts.
     Base,
@@ -118,13 +118,13 @@ pub const MOST_BYTES: usize = u16::MAX as usize;
 /// The first word of an entry.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Head {
-    /// What it is.
+    /// The kind.
     pub kind: Kind,
     /// Looks before it, at most [`MOST_LOOKS`].
     pub looks: u64,
     /// Bytes of its payload, at most [`MOST_BYTES`].
     pub bytes: usize,
-    /// Its time, ns after the one before it.
+    /// The time, ns after the one before it.
     pub after_ns: i32,
 }
 

@@ -14,7 +14,7 @@ use crate::packed::Part;
 pub struct Inlet<T> {
     queue: Consumer<T>,
     log: InputLog,
-    /// So many elements were found and not taken; counted with a log only.
+    /// The number of elements found and not taken; counted with a log only.
     found: Cell<usize>,
     /// Of a repeated run: fills the queue with what the recorded one found.
     refill: Option<Producer<T>>,

@@ -40,7 +40,7 @@ struct Ring {
     is_over: AtomicBool,
 }
 
-/// What the loop's thread alone uses.
+/// The state that the loop's thread alone uses.
 #[derive(Debug, Default)]
 struct Writer {
     /// The place of the next word; counted up over all words.

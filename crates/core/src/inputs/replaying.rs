@@ -21,7 +21,7 @@ pub struct Replaying(Mutex<Player>);
 
 struct Player {
     entries: Entries,
-    /// What is left of the cycle, each with the looks before it that found nothing.
+    /// The rest of the cycle, each entry with the looks before it that found nothing.
     left: VecDeque<(u64, Entry)>,
     /// The begin of the next cycle.
     next: Option<(u64, Entry)>,
@@ -46,9 +46,9 @@ impl std::fmt::Debug for Player {
 /// One entry of the log.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Entry {
-    /// What it is.
+    /// The kind.
     pub kind: Kind,
-    /// Its time, if it has one of its own; else that of the one before it.
+    /// The time, if it has one of its own; else that of the one before it.
     pub at: Time,
     words: Vec<u64>,
     bytes: usize,
@@ -71,15 +71,15 @@ pub struct Broken;
 /// A difference of a repeated run to the recorded one.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Difference {
-    /// Its cycle.
+    /// The cycle.
     pub cycle: u64,
-    /// What differs.
-    pub what: What,
+    /// The difference.
+    pub what: Mismatch,
 }
 
-/// What differs.
+/// The kinds of differences.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum What {
+pub enum Mismatch {
     /// A telegram has other bytes.
     Sent {
         /// Which bus sends it, by its place in the plan.
@@ -109,9 +109,9 @@ pub enum What {
     Task,
     /// The loop looks for something else.
     Look {
-        /// What the recorded run has there; `None`: nothing more.
+        /// The recorded kind at that place; `None`: nothing more.
         recorded: Option<Kind>,
-        /// What the repeated one looks for; `None`: for nothing more in this cycle.
+        /// The kind that the repeated run looks for; `None`: for nothing more in this cycle.
         repeated: Option<Kind>,
     },
     /// The log itself is broken.
@@ -124,7 +124,7 @@ impl Entry {
         self.words.get(index).copied().unwrap_or(0)
     }
 
-    /// Its payload behind the first `words` words.
+    /// The payload behind the first `words` words.
     pub fn bytes(&self, words: usize) -> Vec<u8> {
         let all = self.words.iter().flat_map(|word| word.to_le_bytes());
         all.take(self.bytes).skip(words * size_of::<u64>()).collect()
@@ -231,7 +231,7 @@ impl Replaying {
         (player.sent, player.bytes)
     }
 
-    /// Whether the log has no more cycle; asked between two cycles.
+    /// Whether the log has no more cycle; for the time between two cycles.
     pub fn is_over(&self) -> bool {
         self.player().next.is_none()
     }
@@ -312,7 +312,7 @@ impl Replaying {
         let mut player = self.player();
         match player.look(&[Kind::Task], true, |_| true) {
             Some(entry) if entry.words.get(1..) == Some(words) => {}
-            _ => player.differs(What::Task),
+            _ => player.differs(Mismatch::Task),
         }
     }
 
@@ -320,7 +320,7 @@ impl Replaying {
     pub fn call_refused(&self) {
         let mut player = self.player();
         player.look(&[Kind::Task], true, |_| true);
-        player.differs(What::Task);
+        player.differs(Mismatch::Task);
     }
 
     /// A telegram leaves: it has to be the recorded one. `kinds` are those with which it may be recorded, and how many
@@ -331,13 +331,13 @@ impl Replaying {
         let found = player.look(&all, true, |entry| entry.word(0) == to);
         let (bus, index) = place_of(to);
         let Some(entry) = found else {
-            player.differs(What::More { bus, index });
+            player.differs(Mismatch::More { bus, index });
             return None;
         };
         let front = kinds.iter().find(|(kind, _)| *kind == entry.kind).map_or(0, |(_, front)| *front);
         let recorded = entry.bytes(front);
         if recorded != bytes {
-            player.differs(What::Sent { bus, index, recorded, repeated: bytes.to_vec() });
+            player.differs(Mismatch::Sent { bus, index, recorded, repeated: bytes.to_vec() });
         } else {
             player.sent += 1;
             player.bytes += bytes.len() as u64;
@@ -348,13 +348,13 @@ impl Replaying {
 
 impl Player {
     /// The first difference counts.
-    fn differs(&mut self, what: What) {
+    fn differs(&mut self, what: Mismatch) {
         let cycle = self.cycle;
         self.difference.get_or_insert(Difference { cycle, what });
     }
 
     fn goes_astray(&mut self, recorded: Option<Kind>, repeated: Option<Kind>) {
-        let (cycle, what) = (self.cycle, What::Look { recorded, repeated });
+        let (cycle, what) = (self.cycle, Mismatch::Look { recorded, repeated });
         self.astray = true;
         self.first_astray.get_or_insert(Difference { cycle, what });
     }
@@ -366,9 +366,9 @@ impl Player {
             self.goes_astray(Some(entry.kind), None);
         }
         if let Some(to) = left.iter().find_map(|(_, entry)| entry.sent()) {
-            self.differs(What::Fewer { bus: to.0, index: to.1 });
+            self.differs(Mismatch::Fewer { bus: to.0, index: to.1 });
         } else if left.iter().any(|(_, entry)| entry.kind == Kind::Task) {
-            self.differs(What::Task);
+            self.differs(Mismatch::Task);
         }
     }
 
@@ -407,7 +407,7 @@ impl Player {
                     return;
                 }
                 Ok(entry) => self.left.push_back(entry),
-                Err(Broken) => return self.differs(What::Broken),
+                Err(Broken) => return self.differs(Mismatch::Broken),
             }
         }
     }
@@ -467,10 +467,10 @@ mod tests {
             replaying.difference().map(|difference| difference.what)
         };
         assert_eq!(what(&[(0, &[1, 2]), (5, &[3])]), None);
-        let sent = What::Sent { bus: 2, index: 0, recorded: vec![1, 2], repeated: vec![1, 3] };
+        let sent = Mismatch::Sent { bus: 2, index: 0, recorded: vec![1, 2], repeated: vec![1, 3] };
         assert_eq!(what(&[(0, &[1, 3]), (5, &[3])]), Some(sent));
-        assert_eq!(what(&[(5, &[3])]), Some(What::Fewer { bus: 2, index: 0 }));
-        assert_eq!(what(&[(0, &[1, 2]), (4, &[1]), (5, &[3])]), Some(What::More { bus: 2, index: 4 }));
+        assert_eq!(what(&[(5, &[3])]), Some(Mismatch::Fewer { bus: 2, index: 0 }));
+        assert_eq!(what(&[(0, &[1, 2]), (4, &[1]), (5, &[3])]), Some(Mismatch::More { bus: 2, index: 4 }));
     }
 
     #[test]
@@ -489,8 +489,8 @@ mod tests {
         // It goes on, or only earlier cycles count.
         assert_eq!([ended(None), ended(Some(4))], [(None, None), (None, None)]);
         let (difference, astray) = ended(Some(5));
-        assert_eq!(difference, Some(Difference { cycle: 4, what: What::Fewer { bus: 2, index: 0 } }));
-        let what = What::Look { recorded: Some(Kind::Cycle), repeated: None };
+        assert_eq!(difference, Some(Difference { cycle: 4, what: Mismatch::Fewer { bus: 2, index: 0 } }));
+        let what = Mismatch::Look { recorded: Some(Kind::Cycle), repeated: None };
         assert_eq!(astray, Some(Difference { cycle: 4, what }));
     }
 
@@ -513,7 +513,7 @@ mod tests {
         assert_eq!([replaying.clock(), replaying.clock()], [Time(20), Time(20) + MS]);
         replaying.cycle(2);
         assert_eq!([replaying.part::<u64>(3), replaying.part(3)], [None, Some(9)]);
-        let what = What::Look { recorded: Some(Kind::Value), repeated: Some(Kind::Value) };
+        let what = Mismatch::Look { recorded: Some(Kind::Value), repeated: Some(Kind::Value) };
         assert_eq!(replaying.first_astray(), Some(Difference { cycle: 1, what }));
         assert_eq!(replaying.difference(), None);
     }
@@ -525,7 +525,7 @@ mod tests {
         {
             let mut pieces = vec![words];
             let replaying = Replaying::new(Box::new(move || pieces.pop()));
-            assert_eq!(replaying.difference().map(|difference| difference.what), Some(What::Broken));
+            assert_eq!(replaying.difference().map(|difference| difference.what), Some(Mismatch::Broken));
             // Nothing panics.
             let log = InputLog::replaying(replaying);
             log.cycle(0);

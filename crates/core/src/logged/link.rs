@@ -10,11 +10,11 @@ use crate::named;
 use crate::net::{Handshake, HandshakeState, StreamPeer};
 use crate::time::Time;
 
-/// So many bytes wait for whoever takes them; what comes then is lost, and counted.
+/// The number of bytes that wait for their reader; later ones are lost, and counted.
 const MOST_WAITING: usize = 16 << 20;
 
 named! {
-    /// What happens on a connection.
+    /// The events of a connection.
     #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
     #[repr(u8)]
     pub enum LinkEvent {
@@ -41,13 +41,13 @@ pub struct LinkPassed {
     pub index: u16,
     /// Where it leads.
     pub peer: SocketAddrV4,
-    /// What.
+    /// The event.
     pub event: LinkEvent,
     /// The bytes of what passed.
     pub bytes: Vec<u8>,
 }
 
-/// What has passed and was not taken yet. Clones are the same.
+/// The passed bytes that were not taken yet. Clones are the same.
 #[derive(Clone, Debug, Default)]
 pub struct LinkTap(Arc<Mutex<Waiting>>);
 

@@ -8,14 +8,14 @@ use std::time::{Duration, Instant};
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use nix::sys::resource::{Resource, getrlimit};
 
-/// So many clients of one server at a time.
+/// The most clients of one server at a time.
 const MOST: usize = 64;
 
-/// So many are taken in before the others are looked at again: the kernel's queue holds 128 by default.
+/// The number taken in before the others are looked at again: the kernel's queue holds 128 by default.
 const MOST_AT_ONCE: usize = 256;
 
-/// So many descriptors stay free for the program itself: connections to drives that are opened again, files of the
-/// black box, a report.
+/// The number of descriptors that stay free for the program itself: connections to drives that are opened again, files
+/// of the black box, a report.
 const RESERVED: u64 = 64;
 
 /// After a refusal of the kernel to hand one over.
@@ -44,9 +44,9 @@ impl Stream for std::os::unix::net::UnixStream {
 pub struct Client<S> {
     /// It never waits.
     pub stream: S,
-    /// What it has said so far.
+    /// The bytes that it has sent so far.
     pub said: Vec<u8>,
-    /// What it is still to take; empty while it speaks.
+    /// The rest of its answer; empty while it sends.
     answer: Vec<u8>,
     until: Instant,
     is_whole: bool,
@@ -288,9 +288,9 @@ mod tests {
         let mut rig = Rig::new(LONG);
         let mut client = rig.connect();
         client.write_all(b"\n").unwrap();
-        let asked = rig.whole(LONG).remove(0);
+        let request = rig.whole(LONG).remove(0);
         let answer: Vec<u8> = (0..4_000_000_u32).map(|index| (index % 251) as u8).collect();
-        rig.clients.answer(asked, answer.clone());
+        rig.clients.answer(request, answer.clone());
         assert_eq!(rig.clients.clients.len(), 1, "all of it at once");
         let reader = std::thread::spawn(move || {
             let mut taken = Vec::new();

@@ -133,7 +133,7 @@ mod tests {
     }
 
     #[test]
-    fn its_date_is_that_of_the_computer() {
+    fn local_date_is_that_of_the_computer() {
         let carrier = Local::open(&own("date")).unwrap();
         let unix_ns = std::time::UNIX_EPOCH.elapsed().unwrap().as_nanos() as u64;
         let since_2000 = unix_ns - (30 * 365 + 7) * 24 * 3_600 * crate::time::S;
@@ -171,7 +171,7 @@ mod tests {
     }
 
     #[test]
-    fn the_line_has_the_time_of_the_wire_however_late_it_looks_and_is_told_of_a_frame_longer_than_its_room() {
+    fn a_late_receive_has_the_time_of_the_wire_and_a_frame_longer_than_its_room_is_reported() {
         let (mut line, mut master) = both("stamps");
         master.send(&[1]).unwrap();
         let sent_by = master.now();

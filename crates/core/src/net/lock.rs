@@ -33,7 +33,7 @@ const RELEASED_WITHIN: Duration = Duration::from_millis(100);
 /// service that starts again at once does not fail.
 const GUARDED_WITHIN: Duration = Duration::from_secs(10);
 
-/// What has one master.
+/// The resource of one master.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Place<'a> {
     /// A network interface, or `local:NAME`.
@@ -54,7 +54,7 @@ impl Lock {
         self.0.is_some()
     }
 
-    /// What holds it: it is free once nobody has this descriptor.
+    /// The descriptor that holds it: it is free once no process has this descriptor.
     pub fn descriptor(&self) -> Option<BorrowedFd<'_>> {
         self.0.as_ref().map(AsFd::as_fd)
     }
@@ -69,9 +69,9 @@ pub enum Refused {
     /// Another process has locked it.
     #[error("is in use by another master, process {pid}{name}: end that one first")]
     Process {
-        /// Its id.
+        /// The id.
         pid: i32,
-        /// Its name in parentheses, if it can be read.
+        /// The name in parentheses, if it can be read.
         name: String,
     },
     /// The guardian of a master keeps it locked.
@@ -80,7 +80,7 @@ pub enum Refused {
          again in some seconds; if that master hangs, end that master first"
     )]
     Guardian {
-        /// Its id.
+        /// The id.
         pid: i32,
     },
     /// A process of another user has locked it, or has taken the name of its lock.
@@ -89,11 +89,11 @@ pub enum Refused {
          name (`sudo ss -xap` lists its @fieldbeat- socket): `sudo kill {pid}`"
     )]
     Other {
-        /// Its id.
+        /// The id.
         pid: i32,
-        /// Its name in parentheses, if it can be read.
+        /// The name in parentheses, if it can be read.
         name: String,
-        /// Its user, in words.
+        /// The user, in words.
         user: String,
     },
     /// A process has locked it that this one cannot see.
@@ -112,7 +112,7 @@ pub enum Refused {
 crate::debug_as_display!(Refused);
 
 impl Place<'_> {
-    /// Its abstract address. An interface counts by its number, a port by its own path: each may have several names.
+    /// The abstract address. An interface counts by its number, a port by its own path: each may have several names.
     /// `None`: there is no such interface or port, and nobody can use it.
     fn key(self) -> Option<String> {
         Some(match self {
@@ -168,7 +168,7 @@ fn used_by(owner: Option<Owner>) -> Refused {
     }
 }
 
-/// Whose a lock is.
+/// The owner of a lock.
 #[derive(Clone, Copy, Debug)]
 struct Owner {
     pid: i32,

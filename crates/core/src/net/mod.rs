@@ -161,7 +161,7 @@ pub struct UdpOptions {
     pub waiting: usize,
     /// The longest datagram that has to fit.
     pub room: usize,
-    /// Its requests are marked with this for switches and routers (DSCP, RFC 2474: 0 ... 63). 0: no mark.
+    /// The requests are marked with this for switches and routers (DSCP, RFC 2474: 0 ... 63). 0: no mark.
     pub dscp: u8,
     /// The most multicast groups that it ever receives from: a group that was left keeps its socket.
     pub groups: usize,
@@ -178,7 +178,7 @@ pub struct Os {
 }
 
 impl Os {
-    /// Its link thread keeps off this core, which is that of the loop.
+    /// The link thread keeps off this core, which is that of the loop.
     pub fn off_core(core_of_loop: Option<usize>) -> Os {
         Os { core_of_loop, ..Os::default() }
     }
@@ -222,11 +222,11 @@ impl Carriers for Os {
 /// One datagram that arrived.
 #[derive(Clone, Copy, Debug)]
 pub struct Received<'a> {
-    /// Its sender.
+    /// The sender.
     pub from: SocketAddrV4,
     /// When it was taken in.
     pub at: Time,
-    /// Its bytes, cut off at the carrier's room and then marked.
+    /// The bytes, cut off at the carrier's room and then marked.
     pub bytes: &'a [u8],
     /// The datagram was longer than the room for it.
     pub truncated: bool,

@@ -322,7 +322,7 @@ mod tests {
 
     #[test]
     #[ignore = "makes a network of its own: needs root"]
-    fn what_the_kernel_drops_is_counted_and_so_is_an_error_of_the_interface() {
+    fn frames_dropped_by_the_kernel_and_interface_errors_are_counted() {
         cable();
         let mut near = Packet::open(NEAR, TYPE).unwrap();
         let mut far = Packet::open(FAR, TYPE).unwrap();
@@ -352,7 +352,7 @@ mod tests {
 
     #[test]
     #[ignore = "makes a network of its own: needs root"]
-    fn an_interface_that_is_down_or_has_no_cable_is_told_and_comes_back() {
+    fn an_interface_that_is_down_or_has_no_cable_is_reported_and_comes_back() {
         cable();
         let mut near = Packet::open(NEAR, TYPE).unwrap();
         let is_down = |sent| sent == Err(Unsent::Down);
@@ -375,7 +375,7 @@ mod tests {
     }
 
     #[test]
-    fn an_interface_that_there_is_not_is_told_by_name() {
+    fn a_missing_interface_is_reported_by_name() {
         for name in ["nosuch0", "a-name-that-no-kernel-takes", "a\0b", ""] {
             let error = Packet::open(name, TYPE).unwrap_err();
             assert_eq!(error.kind(), io::ErrorKind::NotFound);

@@ -45,7 +45,7 @@ pub enum Parity {
 
 /// Who switches a transceiver of RS-485 from receiving to sending and back.
 ///
-/// Some adapters, and some drivers, also receive what they send themselves. No request of the operating system tells
+/// Some adapters, and some drivers, also receive what they send themselves. No request of the operating system says
 /// which adapter does: only what comes back does, and whoever uses the port compares it with what it sent.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Rs485 {

@@ -41,7 +41,7 @@ pub trait Streams: Send {
     /// Gives connection `index` up for this reason. It is closed, and opened anew after a pause.
     fn abandon(&mut self, index: usize, why: &'static str);
 
-    /// What opens the connections has ended unexpectedly: the open ones are the last.
+    /// True if the opener of connections has ended unexpectedly: the open ones are the last.
     fn has_ended(&self) -> bool {
         false
     }

@@ -44,7 +44,7 @@ pub struct Tcp {
     events: Box<[EpollEvent]>,
     found: usize,
     next: usize,
-    /// Its only descriptor is a terminal device's.
+    /// The only descriptor is a terminal device's.
     is_tty: bool,
     link: Ends,
 }

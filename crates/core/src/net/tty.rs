@@ -69,7 +69,7 @@ pub fn open(path: &str, line: &SerialLine) -> io::Result<OwnedFd> {
     Ok(port)
 }
 
-/// What the driver of a port makes of its settings.
+/// The settings of a port as its driver has them.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Tried {
     /// The rate that it sets, bit/s.
@@ -214,7 +214,7 @@ fn is_pseudo_terminal(port: &OwnedFd) -> io::Result<bool> {
     Ok((136..=143).contains(&libc::major(facts.st_rdev)))
 }
 
-/// Its settings as the driver reports them.
+/// The settings as the driver reports them.
 fn settings(port: &OwnedFd) -> io::Result<libc::termios2> {
     // SAFETY: all bytes zero are valid settings.
     let mut settings: libc::termios2 = unsafe { zeroed() };

@@ -28,7 +28,7 @@ const SEND_BATCH: usize = 64;
 /// bench --bench scale`).
 const RECEIVE_BATCH: usize = 128;
 
-/// What the kernel charges for one small datagram besides its bytes: the packet's head and its descriptor
+/// The kernel's charge for one small datagram besides its bytes: the packet's head and its descriptor
 /// (`truesize`, 768 on x86-64), rounded up.
 const OVERHEAD: usize = 1024;
 
@@ -60,17 +60,17 @@ impl UdpOptions {
 
 /// A non-blocking UDP socket over IPv4.
 ///
-/// Its address is its own: neither SO_REUSEADDR nor SO_REUSEPORT is set, so that a second master on the same address
+/// The address is exclusive: neither SO_REUSEADDR nor SO_REUSEPORT is set, so that a second master on the same address
 /// fails with EADDRINUSE instead of taking half of the replies.
 #[derive(Debug)]
 pub struct Udp {
-    /// Its own socket, then those of its groups.
+    /// The own socket, then those of its groups.
     sources: Vec<Source>,
     inbox: Inbox,
     groups: Option<GroupSockets>,
 }
 
-/// What has arrived, at whichever socket.
+/// The datagram that has arrived, at whichever socket.
 #[derive(Debug)]
 struct Inbox {
     batch: usize,
@@ -91,7 +91,7 @@ const CONTROL: usize = unsafe { libc::CMSG_SPACE(size_of::<u32>() as libc::c_uin
 impl Udp {
     /// A socket bound to `bind`.
     ///
-    /// Its buffers are sized from `options`; the kernel silently clamps them to `net.core.wmem_max` and `rmem_max`.
+    /// The buffers are sized from `options`; the kernel silently clamps them to `net.core.wmem_max` and `rmem_max`.
     /// With the usual 208 KiB, some 500 datagrams may wait.
     ///
     /// # Errors

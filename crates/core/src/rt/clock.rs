@@ -51,7 +51,7 @@ impl PollSet {
     }
 }
 
-/// What the loop needs of a clock.
+/// The clock of the loop.
 pub trait Clock: Send {
     /// The current instant.
     fn now(&mut self) -> Time;
@@ -88,7 +88,7 @@ pub trait Clock: Send {
         0
     }
 
-    /// What the kernel counts against the calling thread; nothing in virtual time.
+    /// The kernel's counts against the calling thread; none in virtual time.
     fn usage(&mut self) -> Usage {
         Usage::default()
     }

@@ -42,7 +42,7 @@ mod calls {
 pub use calls::{OF_EVERY_THREAD, TO_START_THREADS};
 use calls::{READING, TO_REACH_A_MASTER, TO_SERVE, UNIX_SOCKETS};
 
-/// What a thread keeps of the rights of its process.
+/// The rights that a thread keeps of those of its process.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Keep {
     /// Nothing.
@@ -89,13 +89,13 @@ fn keep_capabilities(kept: u64) -> io::Result<()> {
 /// A system call that is allowed if one of its arguments, counted from 0, has this `value` where `mask` has ones.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Only {
-    /// Its number.
+    /// The number.
     pub call: c_long,
     /// The argument.
     pub argument: u8,
     /// The bits that count, of the lower 32.
     pub mask: u32,
-    /// What they have to be.
+    /// The required value.
     pub value: u32,
 }
 

@@ -92,7 +92,7 @@ impl<T: Plain> Held<T> {
         Ok(Held(Arc::new(Memory { begin, count, mapping: Some(mapping) })))
     }
 
-    /// What another process needs to get them; `None`: they are of this one.
+    /// The descriptor by which another process gets them; `None`: they are of this one.
     pub fn descriptor(&self) -> Option<BorrowedFd<'_>> {
         self.0.mapping.as_ref().and_then(Mapping::descriptor)
     }

@@ -147,7 +147,7 @@ pub fn cores_of(list: &str) -> Option<Vec<usize>> {
     Some(cores)
 }
 
-/// What the kernel's two settings say of it, both in µs; `None`: they are no numbers.
+/// The throttling by the kernel's two settings, both in µs; `None`: they are no numbers.
 pub fn throttling_of(runtime: &str, period: &str) -> Option<Throttling> {
     let runtime: i64 = runtime.parse().ok()?;
     Some(Throttling { runtime_us: u64::try_from(runtime).ok(), period_us: period.parse().ok()? })
@@ -193,7 +193,7 @@ mod tests {
     }
 
     #[test]
-    fn this_host_tells() {
+    fn this_host_reports_kernel_cores_and_steal() {
         assert!(kernel().is_some_and(|release| !release.is_empty()));
         assert!(preemption().is_some());
         let cores = online_cores().unwrap_or_default();

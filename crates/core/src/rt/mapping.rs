@@ -30,7 +30,7 @@ use super::clock::MonotonicClock;
 /// Where named memory is.
 const DIRECTORY: &str = "/dev/shm";
 
-/// What its names begin with.
+/// The begin of its names.
 const PREFIX: &str = "fieldbeat-";
 
 /// Zeroed memory, page by page.
@@ -124,17 +124,17 @@ impl Mapping {
         Ok(mapping)
     }
 
-    /// Its descriptor, if another process can share it. Whoever has that of named memory has its lock.
+    /// The descriptor, if another process can share it. Whoever has that of named memory has its lock.
     pub fn descriptor(&self) -> Option<BorrowedFd<'_>> {
         self.handed.as_ref().map(AsFd::as_fd).or(self.file.as_ref().map(|file| file.as_fd()))
     }
 
-    /// Its first byte. It is aligned to a page.
+    /// The first byte. It is aligned to a page.
     pub fn begin(&self) -> NonNull<u8> {
         self.begin
     }
 
-    /// Its bytes.
+    /// The bytes.
     pub fn length(&self) -> usize {
         self.length.get()
     }
@@ -155,7 +155,7 @@ impl Mapping {
         self.name.get().map(PathBuf::as_path)
     }
 
-    /// Its name is to stay: somebody else is to find it.
+    /// The name is to stay: somebody else is to find it.
     pub fn leave(&self) {
         self.is_left.store(true, Ordering::Relaxed);
     }
@@ -197,9 +197,9 @@ impl Drop for Mapping {
 /// Named memory of this user, of a process that lives or has ended.
 #[derive(Debug)]
 pub struct Found {
-    /// Its name.
+    /// The name.
     pub path: PathBuf,
-    /// Its bytes.
+    /// The bytes.
     pub file: File,
 }
 
@@ -236,7 +236,7 @@ impl Found {
 }
 
 impl Left {
-    /// Its bytes.
+    /// The bytes.
     pub fn file(&self) -> &File {
         &self.file
     }

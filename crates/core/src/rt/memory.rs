@@ -22,10 +22,10 @@ use super::rights::{Capability, Denied, holds, memlock_limit};
 /// How much of the loop's stack is made present: far more than its call depth needs.
 const STACK_BYTES: usize = 256 << 10;
 
-/// What the thread must have left beyond [`STACK_BYTES`] before it is touched.
+/// The room that the thread must have left beyond [`STACK_BYTES`] before it is touched.
 const STACK_SPARE: usize = 32 << 10;
 
-/// What a process may grow by after [`lock_process`] under a finite limit, besides doubling its size.
+/// The growth of a process after [`lock_process`] under a finite limit, besides doubling its size.
 const GROWTH_BYTES: u64 = 64 << 20;
 
 /// Makes the heap of the whole process keep what it has. For `Memory::Process`, once, before the loop's structures

@@ -73,7 +73,7 @@ pub enum Denied {
 }
 crate::debug_as_display!(Denied);
 
-/// So much memory.
+/// An amount of memory.
 pub fn amount(kib: Option<u64>) -> String {
     match kib {
         Some(kib) => format!("{kib} KiB of memory"),

@@ -17,7 +17,7 @@ use super::memory::{self, Regions};
 use super::rights::{Capability, Denied, holds, rtprio_limit};
 use super::{Memory, Realtime};
 
-/// What the loop's thread shall become.
+/// The plan of the loop's thread.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct RealtimePlan {
     /// Whether real-time scheduling is required.
@@ -42,23 +42,23 @@ impl RealtimePlan {
     }
 }
 
-/// What the loop's thread became, as the kernel reports it.
+/// The properties of the loop's thread, as the kernel reports them.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Granted {
     /// The scheduling policy: `SCHED_FIFO`, or what the thread was started with, usually `SCHED_OTHER`.
     pub policy: &'static str,
-    /// Its priority, 0 for `SCHED_OTHER`.
+    /// The priority, 0 for `SCHED_OTHER`.
     pub priority: u8,
     /// The core it is pinned to.
     pub core: Option<usize>,
     /// True if the memory that [`RealtimePlan::memory`] requests is locked.
     pub memory_locked: bool,
-    /// What was not available, one line each with its remedy. Not empty: the numbers are not real-time.
+    /// The unavailable properties, one line each with its remedy. Not empty: the numbers are not real-time.
     pub missing: Vec<String>,
 }
 
 impl Granted {
-    /// Its priority, if it runs in real time.
+    /// The priority, if it runs in real time.
     #[doc(hidden)]
     pub fn fifo(&self) -> Option<u8> {
         (self.policy == "SCHED_FIFO").then_some(self.priority)
@@ -395,8 +395,8 @@ mod tests {
     }
 
     #[test]
-    fn an_ordinary_user_is_refused_or_told_what_is_missing() {
-        in_own_process("rt::thread::tests::an_ordinary_user_is_refused_or_told_what_is_missing", || {
+    fn an_ordinary_user_is_refused_or_shown_what_is_missing() {
+        in_own_process("rt::thread::tests::an_ordinary_user_is_refused_or_shown_what_is_missing", || {
             assert!(limit_rtprio(0) && limit_memlock(64 << 10));
             become_ordinary();
             let refused = on_a_thread(|| enter(&plan(Realtime::Require), &Regions::new()));

@@ -24,7 +24,7 @@ pub struct ThreadSample {
     pub counts: ThreadCounts,
 }
 
-/// What is read less often than the times.
+/// The counts that are read less often than the times.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ThreadCounts {
     /// When they were read: what is counted later happened later.

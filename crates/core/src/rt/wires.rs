@@ -35,7 +35,7 @@ pub enum Taker {
 #[derive(Clone, Debug, Default)]
 pub struct Wires(Held<Words>);
 
-/// What the threads of a machine share, and its guardian with them.
+/// The state that the threads of a machine share, and its guardian with them.
 #[derive(Debug, Default)]
 #[repr(C)]
 pub struct Words {
@@ -174,7 +174,7 @@ impl Wires {
     }
 }
 
-/// What everybody may read.
+/// The values that every thread may read.
 impl Wires {
     /// For how many cycles the loop has given no sign of life, as far as the watch has noticed.
     #[inline]

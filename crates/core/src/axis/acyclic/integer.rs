@@ -3,7 +3,7 @@
 /// A type of whole numbers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Integer {
-    /// Its bits, 1 ..= 64.
+    /// The bits, 1 ..= 64.
     pub bits: u32,
     /// It has a sign. One of 64 bits is taken for one with a sign in any case.
     pub signed: bool,

@@ -27,7 +27,7 @@ pub const STORE: u32 = 6;
 /// The service of a call that reads `value` values at once.
 pub const READ_SEVERAL: u32 = 7;
 
-/// What calls read and write: their address.
+/// The target of reads and writes: their address.
 pub trait Target: Copy {
     /// As the address of a call.
     fn pack(self) -> u32;
@@ -66,7 +66,7 @@ pub enum Service<T> {
 }
 
 impl<T> Service<T> {
-    /// Its number, its target and its value.
+    /// The number, its target and its value.
     fn parts(self) -> (u32, T, u64) {
         match self {
             Service::Read(target) => (READ, target, 0),
@@ -79,7 +79,7 @@ impl<T> Service<T> {
         }
     }
 
-    /// What it is done to.
+    /// The target of the service.
     pub fn target(self) -> T {
         self.parts().1
     }
@@ -106,7 +106,7 @@ impl<T: Target> Service<T> {
         })
     }
 
-    /// What a call writes to; `None`: it does not write.
+    /// The target that a call writes; `None`: it does not write.
     pub fn written(call: &Call) -> Option<T> {
         Service::of(call).filter(Service::writes).map(Service::target)
     }
@@ -182,7 +182,7 @@ impl<const ROOM: usize> Default for Kept<ROOM> {
 }
 
 impl<const ROOM: usize> Kept<ROOM> {
-    /// What this call has read: a value of `size` bytes, and the first of them.
+    /// The value of `size` bytes that this call has read, and the first of them.
     pub fn of_read(posted: &Posted, size: usize, bytes: &[u8]) -> Kept<ROOM> {
         let mut data = [0; ROOM];
         data.iter_mut().zip(bytes).for_each(|(place, byte)| *place = *byte);
@@ -205,7 +205,7 @@ impl<const ROOM: usize> Kept<ROOM> {
         Some(Answer { status: 0, address, value })
     }
 
-    /// What was handed over, of the length that the call says; `None`: it is not there.
+    /// The bytes handed over, as many as the call says; `None`: they are not there.
     pub fn whole(&self, posted: &Posted) -> Option<&[u8]> {
         let length = usize::try_from(posted.call.value).ok()?;
         // Any value may be in a call: what is longer has no place.

@@ -31,8 +31,8 @@ pub use integer::{Integer, decimal, hexadecimal};
 #[cfg(test)]
 pub(crate) use notation::Numbers;
 pub use notation::{
-    Access, Block, ListError, Listed, Listing, Notation, NotationError, ParameterError, Progress, ReadList,
-    Request, Wanted, Watcher, go_on, in_unit,
+    Access, Block, ListError, Listed, Listing, Notation, NotationError, ParameterAccess, ParameterError,
+    Progress, ReadList, Wanted, Watcher, go_on, in_unit,
 };
 pub use parameter::{ParameterTicket, Parameters, Scalar};
 pub use port::{Commanding, Port, Posted};
@@ -48,13 +48,13 @@ use super::feedback::{Link, State};
 pub struct Call {
     /// The service.
     pub service: u32,
-    /// Its address: a parameter, an entry, a curve.
+    /// The address: a parameter, an entry, a curve.
     pub address: u32,
-    /// Its argument.
+    /// The argument.
     pub value: u64,
 }
 
-/// What a drive answered.
+/// The answer of a drive.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Answer {
@@ -135,7 +135,7 @@ crate::debug_as_display!(CallError);
 #[derive(Clone, PartialEq, Eq, Error)]
 #[non_exhaustive]
 pub enum PostError {
-    /// Its queue has no room.
+    /// The queue has no room.
     #[error("axis {axis}: its queue of {capacity} acyclic calls is full: wait for earlier ones to end")]
     Full {
         /// The axis.
@@ -186,7 +186,7 @@ pub struct Series {
 pub struct Condition {
     /// The link is up.
     pub online: bool,
-    /// Its power stage may be on.
+    /// The power stage may be on.
     pub powered: bool,
     /// It boots, or its motion software is stopped.
     #[cfg_attr(feature = "serde", serde(default))]

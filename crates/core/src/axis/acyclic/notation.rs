@@ -20,10 +20,10 @@ pub trait Notation: Debug + Send + Sync {
     /// The protocol's name, as in the configuration.
     fn protocol(&self) -> &'static str;
 
-    /// What is at `address`.
+    /// The place at `address`.
     fn place(&self, address: &str) -> Result<Place, NotationError>;
 
-    /// What the values at `address` are, as far as that is known.
+    /// The kind of the values at `address`, as far as it is known.
     fn values(&self, address: &str) -> Values {
         self.place(address).map_or_else(|_| Values::Unknown { form: String::new() }, |place| place.values)
     }
@@ -65,7 +65,7 @@ pub trait Notation: Debug + Send + Sync {
         self.values(address).show(raw)
     }
 
-    /// What a drive has answered to a read of `address` as people read it.
+    /// The answer of a drive to a read of `address`, as people read it.
     fn show_answer(&self, address: &str, answer: &Answer) -> String {
         self.show(address, answer.value)
     }
@@ -219,40 +219,40 @@ crate::debug_as_display!(NotationError);
 
 /// An access to a parameter, for messages.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Request {
+pub struct ParameterAccess {
     /// The drive.
     pub drive: String,
     /// The access: read or write.
     pub access: &'static str,
-    /// Its address.
+    /// The address.
     pub address: String,
     /// The value that was to be written.
     pub value: Option<String>,
 }
 
-impl std::fmt::Display for Request {
+impl std::fmt::Display for ParameterAccess {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(f, "drive {}: {} {}", self.drive, self.access, self.address)?;
         self.value.as_ref().map_or(Ok(()), |value| write!(f, " = {value}"))
     }
 }
 
-impl Request {
+impl ParameterAccess {
     /// To read `address`.
-    pub fn read(drive: &str, address: &str) -> Request {
-        Request { drive: drive.to_owned(), access: "read", address: address.to_owned(), value: None }
+    pub fn read(drive: &str, address: &str) -> ParameterAccess {
+        ParameterAccess { drive: drive.to_owned(), access: "read", address: address.to_owned(), value: None }
     }
 
     /// To write `value` to `address`.
-    pub fn write(drive: &str, address: &str, value: String) -> Request {
-        Request { access: "write", value: Some(value), ..Request::read(drive, address) }
+    pub fn write(drive: &str, address: &str, value: String) -> ParameterAccess {
+        ParameterAccess { access: "write", value: Some(value), ..ParameterAccess::read(drive, address) }
     }
 
     pub(super) fn wrong(&self, error: NotationError) -> ParameterError {
-        ParameterError::Notation { request: Box::new(Request { value: None, ..self.clone() }), error }
+        ParameterError::Notation { request: Box::new(ParameterAccess { value: None, ..self.clone() }), error }
     }
 
-    /// What became of a write is not known.
+    /// Says how far the outcome of a write is unknown.
     fn left_open(&self, why: CallError) -> &'static str {
         match (&self.value, why) {
             (Some(_), CallError::TimedOut) => "; what was to be written may have been written",
@@ -280,7 +280,7 @@ pub enum ParameterError {
     #[error("{request}: {error}")]
     Notation {
         /// The access, without a value.
-        request: Box<Request>,
+        request: Box<ParameterAccess>,
         /// The reason.
         error: NotationError,
     },
@@ -291,7 +291,7 @@ pub enum ParameterError {
     #[error("{request}: {reason}")]
     Refused {
         /// The access.
-        request: Request,
+        request: ParameterAccess,
         /// The drive's status.
         status: u32,
         /// The meaning of the status.
@@ -301,7 +301,7 @@ pub enum ParameterError {
     #[error("{request}: {why}{}", request.left_open(*why))]
     Failed {
         /// The access.
-        request: Request,
+        request: ParameterAccess,
         /// The reason.
         why: CallError,
     },
@@ -331,10 +331,10 @@ impl Access<'_> {
         self.answer(address).map(|answer| answer.value)
     }
 
-    /// Reads a parameter: its value, and the address that has been answered. That may say more of the value than the
-    /// one that was asked.
+    /// Reads a parameter: its value, and the address of the answer. It may say more of the value than the address of
+    /// the request.
     pub fn answer(&self, address: &str) -> Result<Answer, ParameterError> {
-        let request = Request::read(self.drive, address);
+        let request = ParameterAccess::read(self.drive, address);
         let call = self.notation.read(address).map_err(|error| request.wrong(error))?;
         self.carry_out(&request, &[call])
     }
@@ -342,7 +342,7 @@ impl Access<'_> {
     /// Reads a parameter of any length: its raw value, or the beginning of it, and its text.
     pub fn read_shown(&self, address: &str) -> Result<(u64, String), ParameterError> {
         if let Some(read) = self.notation.read_long(self.carrier, address) {
-            return read.map_err(|why| Request::read(self.drive, address).failed(why, self.notation));
+            return read.map_err(|why| ParameterAccess::read(self.drive, address).failed(why, self.notation));
         }
         let answer = self.answer(address)?;
         Ok((answer.value, self.notation.show_answer(address, &answer)))
@@ -364,7 +364,7 @@ impl Access<'_> {
         text: &str,
         raw: Result<u64, NotationError>,
     ) -> Result<u64, ParameterError> {
-        let request = Request::write(self.drive, address, text.to_owned());
+        let request = ParameterAccess::write(self.drive, address, text.to_owned());
         let raw = raw.map_err(|error| request.wrong(error))?;
         let calls = match self.notation.write_long(address, text) {
             Some(calls) => calls,
@@ -376,10 +376,10 @@ impl Access<'_> {
 
     /// Reads `count` parameters from `address` on in one request: the address of each, and its raw value.
     pub fn read_several(&self, address: &str, count: usize) -> Result<Vec<(String, u64)>, ParameterError> {
-        let several = Request::read(self.drive, address);
+        let several = ParameterAccess::read(self.drive, address);
         let block = self.notation.block(address, count).map_err(|error| several.wrong(error))?;
         let bytes = count * block.bytes;
-        let request = Request::read(self.drive, &block.shown());
+        let request = ParameterAccess::read(self.drive, &block.shown());
         let answers = self.run(&request, &long::read_several(block.address, count, bytes))?;
         let data = long::read_bytes(&answers);
         let values = data
@@ -391,11 +391,11 @@ impl Access<'_> {
     /// Writes these raw values to parameters from `address` on, in one request. An error names the parameter that was
     /// refused; those before it were written then.
     pub fn write_several(&self, address: &str, values: &[u64]) -> Result<(), ParameterError> {
-        let several = Request { access: "write", ..Request::read(self.drive, address) };
+        let several = ParameterAccess { access: "write", ..ParameterAccess::read(self.drive, address) };
         let block = self.notation.block(address, values.len()).map_err(|error| several.wrong(error))?;
         let one = |place: usize| {
             let (address, raw) = (&block.addresses[place], values[place]);
-            Request::write(self.drive, address, self.notation.show(address, raw))
+            ParameterAccess::write(self.drive, address, self.notation.show(address, raw))
         };
         let mut data = Vec::new();
         for (place, address) in block.addresses.iter().enumerate() {
@@ -410,7 +410,7 @@ impl Access<'_> {
             .zip(values)
             .map(|(address, raw)| self.notation.show(address, *raw))
             .collect();
-        let request = Request::write(self.drive, &block.shown(), shown.join(", "));
+        let request = ParameterAccess::write(self.drive, &block.shown(), shown.join(", "));
         let answers = match self.run(&request, &long::write(block.address, &data)) {
             Err(ParameterError::Failed { why: CallError::CommandsAt(place), .. })
                 if (place as usize) < values.len() =>
@@ -432,7 +432,7 @@ impl Access<'_> {
     }
 
     /// Carries out calls of which the later ones need what the earlier ones have left.
-    fn run(&self, request: &Request, calls: &[Call]) -> Result<Vec<Answer>, ParameterError> {
+    fn run(&self, request: &ParameterAccess, calls: &[Call]) -> Result<Vec<Answer>, ParameterError> {
         let fits = calls.len() <= self.carrier.capacity();
         let limit = calls.first().map_or(LIMIT, |call| self.notation.limit(call));
         let Series { answers, failed } = match fits {
@@ -446,7 +446,7 @@ impl Access<'_> {
     }
 
     /// The same; returns what the first one has answered.
-    fn carry_out(&self, request: &Request, calls: &[Call]) -> Result<Answer, ParameterError> {
+    fn carry_out(&self, request: &ParameterAccess, calls: &[Call]) -> Result<Answer, ParameterError> {
         let first = self.run(request, calls)?.first().copied();
         first.ok_or_else(|| request.failed(CallError::Gone, self.notation))
     }
@@ -477,13 +477,13 @@ impl Wanted<'_> {
 /// One parameter of a list.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Listed {
-    /// Its address.
+    /// The address.
     pub address: String,
-    /// Its name, if it is known.
+    /// The name, if it is known.
     pub name: Option<&'static str>,
     /// Size or type, and access.
     pub usage: Option<String>,
-    /// Its value, if that was wanted or comes with the list.
+    /// The value, if that was wanted or comes with the list.
     pub raw: Option<u64>,
 }
 
@@ -504,7 +504,7 @@ pub type Watcher<'a> = &'a mut dyn FnMut(Progress) -> ControlFlow<()>;
 /// Makes a list by reading the drive.
 pub type ReadList = dyn FnOnce(Access<'_>, Watcher<'_>) -> Result<Vec<Listed>, ListError>;
 
-/// What a list needs.
+/// The requirements of a list.
 pub enum Listing {
     /// Nothing: the list is known.
     Known(Vec<Listed>),
@@ -659,7 +659,7 @@ mod tests {
     }
 
     #[test]
-    fn of_several_values_the_one_that_is_refused_is_named() {
+    fn the_refused_one_of_several_values_is_named() {
         let said = |drive: &Drive| of(drive, &Blocks).write_several("7", &[1, 2, 3]).unwrap_err().to_string();
         let short = |bytes| drive(&[(0, 0), (0, 0), (256, bytes)], None);
         assert_eq!(said(&short(11)), "drive x: write 9 = 3: status 256; those before it were written");
@@ -677,12 +677,12 @@ mod tests {
 
     #[test]
     fn only_a_write_that_was_not_finished_in_time_may_have_been_done() {
-        let done = |request: Request, why| {
+        let done = |request: ParameterAccess, why| {
             request.failed(why, &Numbers).to_string().contains("may have been written")
         };
-        let write = || Request::write("x", "1", "2".to_owned());
+        let write = || ParameterAccess::write("x", "1", "2".to_owned());
         assert!(done(write(), CallError::TimedOut));
         assert!(!done(write(), CallError::NotOnline));
-        assert!(!done(Request::read("x", "1"), CallError::TimedOut));
+        assert!(!done(ParameterAccess::read("x", "1"), CallError::TimedOut));
     }
 }

@@ -3,12 +3,12 @@
 use std::marker::PhantomData;
 use std::sync::Arc;
 
-use super::notation::{Access, Notation, ParameterError, Request};
+use super::notation::{Access, Notation, ParameterAccess, ParameterError};
 use super::queue::{Acyclic, CallTicket};
 use super::{Answer, Call, CallError, PostError};
 
 impl Acyclic {
-    /// Its parameters.
+    /// The parameters.
     pub fn parameters(&self) -> Parameters {
         Parameters(self.clone())
     }
@@ -111,7 +111,7 @@ impl Parameters {
 
     /// Requests a parameter and returns at once.
     pub fn post_read<T: Scalar>(&self, address: &str) -> Result<ParameterTicket<T>, ParameterError> {
-        let request = Request::read(self.0.axis(), address);
+        let request = ParameterAccess::read(self.0.axis(), address);
         let call = self.0.notation().read(address).map_err(|error| request.wrong(error))?;
         self.post(request, call)
     }
@@ -123,12 +123,16 @@ impl Parameters {
         value: T,
     ) -> Result<ParameterTicket<()>, ParameterError> {
         let raw = value.to_raw();
-        let request = Request::write(self.0.axis(), address, self.0.notation().show(address, raw));
+        let request = ParameterAccess::write(self.0.axis(), address, self.0.notation().show(address, raw));
         let call = self.0.notation().write(address, raw).map_err(|error| request.wrong(error))?;
         self.post(request, call)
     }
 
-    fn post<T: Scalar>(&self, request: Request, call: Call) -> Result<ParameterTicket<T>, ParameterError> {
+    fn post<T: Scalar>(
+        &self,
+        request: ParameterAccess,
+        call: Call,
+    ) -> Result<ParameterTicket<T>, ParameterError> {
         let notation = Arc::clone(self.0.notation());
         let ticket = match self.0.post(call, notation.limit(&call)) {
             // In the same words as from the loop.
@@ -142,14 +146,14 @@ impl Parameters {
 /// A read or write under way. If dropped before its end, it is cancelled.
 #[derive(Debug)]
 pub struct ParameterTicket<T> {
-    request: Request,
+    request: ParameterAccess,
     notation: Arc<dyn Notation>,
     ticket: CallTicket,
     value: PhantomData<T>,
 }
 
 impl<T: Scalar> ParameterTicket<T> {
-    /// Its result, once, if it has ended. Never waits.
+    /// The result, once, if it has ended. Never waits.
     pub fn poll(&mut self) -> Option<Result<T, ParameterError>> {
         let result = self.ticket.poll()?;
         Some(self.verdict(result))

@@ -14,11 +14,11 @@ const MOST_ENDS: usize = 64;
 /// A call on its way.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Posted {
-    /// Its id. Numbers grow by one; 0 is never used.
+    /// The id. Numbers grow by one; 0 is never used.
     pub number: u64,
     /// Common to all calls of one series, of which the first failure ends the series. 0 = a single call.
     pub series: u64,
-    /// Its time limit, from the start of its execution, ns.
+    /// The time limit, from the start of its execution, ns.
     pub limit_ns: u64,
     /// The call.
     pub call: Call,

@@ -5,13 +5,13 @@ use super::notation::NotationError;
 /// A quantity that a parameter counts.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Quantity {
-    /// What a count is of the unit.
+    /// The value of a count in the unit.
     pub scale: Scale,
     /// The unit; empty for a plain number.
     pub unit: &'static str,
 }
 
-/// What a count is.
+/// The value of a count.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Scale {
     /// `10^-decimals` of the unit: exact.
@@ -132,7 +132,7 @@ mod tests {
     const PER_S2: Quantity = Quantity { scale: Scale::Linear { per_unit: 6.0, zero: 0.0 }, unit: "rev/s²" };
 
     #[test]
-    fn what_is_shown_is_written_back_with_its_unit_or_without() {
+    fn a_shown_value_is_parsed_back_with_its_unit_or_without() {
         for (quantity, count) in [(SPEED, 15_000), (SPEED, -5), (SPEED, 0), (CELSIUS, 82), (PER_S2, 600)] {
             let shown = quantity.show(count);
             assert_eq!(quantity.count(&shown), Some(count), "{shown}");

@@ -29,7 +29,7 @@ pub struct AcyclicEnds {
     shared: WithExecutor,
 }
 
-/// What the application's end shares with the executor.
+/// The state that the application's end shares with the executor.
 #[derive(Debug)]
 struct WithExecutor {
     capacity: usize,
@@ -334,7 +334,7 @@ impl Drop for Claim {
 pub struct CallTicket {
     acyclic: Acyclic,
     number: u64,
-    /// Its end was returned.
+    /// The end was returned.
     over: bool,
 }
 
@@ -413,7 +413,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_insisted_on_is_tried_until_it_is_done_or_refused() {
+    fn an_insisted_call_is_repeated_until_it_is_done_or_refused() {
         for (last, expected) in [
             (Ok(Answer { value: 3, ..Answer::default() }), Ok(3)),
             (Err(CallError::Refused(0xD7)), Err(CallError::Refused(0xD7))),

@@ -5,7 +5,7 @@ use super::notation::NotationError;
 use super::quantity::{Quantity, shown};
 use super::{Call, Integer, hexadecimal};
 
-/// What is at an address of a drive.
+/// A place at an address of a drive.
 #[derive(Clone, Debug)]
 pub struct Place {
     /// The call that reads it, or why there is none.
@@ -13,7 +13,7 @@ pub struct Place {
     /// The call that writes it, without its value, or why there is none. By a [`Store`](long::Service::Store) its value
     /// goes in parts, and never by this call alone.
     pub write: Result<Call, NotationError>,
-    /// What its values are.
+    /// The kind of its values.
     pub values: Values,
 }
 
@@ -24,7 +24,7 @@ impl Place {
     }
 }
 
-/// What values are.
+/// The kind of values.
 #[derive(Clone, Debug)]
 pub enum Values {
     /// Whole numbers.
@@ -37,7 +37,7 @@ pub enum Values {
     Octets,
     /// Nobody knows here: they can be read.
     Unknown {
-        /// What has to be written for them to be known.
+        /// The form in which they have to be written to be known.
         form: String,
     },
 }
@@ -62,7 +62,7 @@ pub struct Counts {
     pub of: Integer,
     /// The lowest and the highest one that people may write.
     pub range: (i64, i64),
-    /// What they measure.
+    /// The measured quantity.
     pub quantity: Option<Quantity>,
     /// How they are written besides.
     pub words: Option<&'static Words>,
@@ -146,7 +146,7 @@ impl Values {
         }
     }
 
-    /// What the counts measure.
+    /// The quantity that the counts measure.
     pub fn quantity(&self) -> Option<Quantity> {
         let Values::Counts(counts) = self else { return None };
         counts.quantity

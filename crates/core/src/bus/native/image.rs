@@ -42,7 +42,7 @@ impl<const N: usize> Image<N> {
         self.0[1] >> 63 != 0
     }
 
-    /// What the wire has added.
+    /// The count that the wire has added.
     pub fn added(&self) -> u64 {
         self.0[1] & ((1 << LENGTH) - 1)
     }

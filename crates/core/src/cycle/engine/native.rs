@@ -27,11 +27,11 @@ struct Chosen {
     /// The place of its bus, and its index there.
     bus: usize,
     index: usize,
-    /// Its newest inputs that were recorded were taken in then.
+    /// The newest inputs that were recorded were taken in then.
     received_at: Time,
-    /// Its newest outputs that were recorded left then.
+    /// The newest outputs that were recorded left then.
     sent_at: Time,
-    /// So many of its exchanges were answered by then.
+    /// The number of its exchanges answered by then.
     answered: u64,
 }
 

@@ -70,7 +70,7 @@ impl fmt::Display for LoopPanic {
     }
 }
 
-/// What panicked.
+/// The part that panicked.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Part {
     /// The usual cycle, outside of its buses.
@@ -78,7 +78,7 @@ pub(super) enum Part {
     Bus(usize),
     Axis(usize),
     Clock,
-    /// What goes out to other threads, and what they have posted.
+    /// The queues to and from other threads.
     Outlets,
 }
 

@@ -66,10 +66,10 @@ pub(super) struct Duty {
     active: Option<QueuedCommand>,
 }
 
-/// What follows from a duty. To keep it saves 205 instructions a drive and cycle in motion, and 48 at rest.
+/// The consequences of a duty. Keeping them saves 205 instructions a drive and cycle in motion, and 48 at rest.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Follows {
-    /// What leads it.
+    /// The source of the setpoints.
     pub lead: Lead,
     /// A stop runs: that of the application, or the stop sequence.
     pub stops: bool,
@@ -81,7 +81,7 @@ pub(super) struct Follows {
     pub command: u8,
 }
 
-/// What leads an axis.
+/// The source of an axis's setpoints.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) enum Lead {
     /// The loop: it is enabled, nothing stops it, and a motion runs that is no homing and no torque.
@@ -118,7 +118,7 @@ impl Duty {
         &self.active
     }
 
-    /// What it does.
+    /// The command of this duty.
     pub(super) fn command(&self) -> Option<&Command> {
         self.active.as_ref().map(|active| &active.command)
     }

@@ -44,7 +44,7 @@ impl DriveController {
         }
     }
 
-    /// Its request left at this instant.
+    /// The request left at this instant.
     #[inline(always)] // As `sent`.
     fn left(&mut self, cycle: &Cycle, sent_at: Time) {
         self.health.requested(cycle.index, true);
@@ -484,7 +484,7 @@ impl DriveController {
         }
     }
 
-    /// What the drive says of its reference does not count.
+    /// True if the drive's report of its reference does not count.
     fn is_masked(&self) -> bool {
         self.watch.unreferenced && self.duty.command() != Some(&Command::Home)
     }

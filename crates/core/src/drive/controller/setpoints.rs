@@ -30,9 +30,9 @@ pub(super) struct Follow {
 /// When a setpoint counts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Counts {
-    /// Its command runs.
+    /// The command runs.
     Now,
-    /// Its command is still to begin.
+    /// The command is still to begin.
     Later,
 }
 

@@ -34,7 +34,7 @@ pub(in crate::drive) struct Alone {
     pub events: Consumer<Event>,
     index: u64,
     id: u64,
-    /// What the drive says of its reference in each report, whatever the loop has made of the last one.
+    /// The reference that the drive reports each time, whatever the loop has made of the last report.
     homed: Option<bool>,
 }
 
@@ -47,7 +47,7 @@ pub(in crate::drive) fn plan() -> AxisPlan {
     AxisPlan::new("x", Units::millimetres(1_000.0))
 }
 
-/// What a drive can do that makes its own setpoints.
+/// The capabilities of a drive that makes its own setpoints.
 fn can() -> Capabilities {
     Capabilities::of(Generator::Drive { velocities: Some(Velocities::Leash(1.0)) })
 }
@@ -284,9 +284,9 @@ fn a_report_has_an_age_while_the_link_is_up_and_a_suspect_one_that_from_the_exch
 }
 
 #[test]
-fn a_restart_an_emergency_and_a_refused_variable_in_one_report_are_all_told() {
-    for told in 1..8 {
-        let [restarted, refused, emergency] = [1, 2, 4].map(|bit| told & bit != 0);
+fn a_restart_an_emergency_and_a_refused_variable_in_one_report_are_all_reported() {
+    for reported in 1..8 {
+        let [restarted, refused, emergency] = [1, 2, 4].map(|bit| reported & bit != 0);
         let mut x = Alone::new(plan()).online();
         x.reported();
         let notices = &mut x.slot.notices;
@@ -428,7 +428,7 @@ fn native_data_are_stopped_where_the_axis_can_still_brake_and_a_move_at_its_limi
 }
 
 #[test]
-fn what_follows_no_setpoint_is_stopped_by_its_drive_and_all_else_by_a_ramp() {
+fn motion_without_setpoints_is_stopped_by_its_drive_and_other_motion_by_a_ramp() {
     let by_drive = |x: &Alone| x.controller.newest() == Some(Command::QuickStop);
     for (command, step, cause, expected) in [
         // By itself.
@@ -770,7 +770,7 @@ fn a_request_that_could_not_be_sent_is_no_miss_only_once_the_bus_ends_the_link()
 }
 
 #[test]
-fn each_change_of_the_drive_is_told_once() {
+fn each_change_of_the_drive_is_reported_once() {
     let mut x = Alone::new(plan()).online();
     x.reported();
     let status = &mut x.slot.status;

@@ -7,7 +7,7 @@ use crate::axis::{
     StopCause, StopHow, StopPlan, StopThen,
 };
 use crate::bus::{Cycle, Slot};
-use crate::drive::at_end::{AtEnd, Known, Requested};
+use crate::drive::at_end::{AtEnd, LoopFacts, Requested};
 use crate::drive::stop::{Sight, StopSequence};
 use crate::drive::watch::{Phase, Watched};
 use crate::time::{Time, nanos};
@@ -63,14 +63,14 @@ impl DriveController {
         }
     }
 
-    /// Its following error has a limit in this motion: one that was configured, or that of a demand of the master. The
+    /// The following error has a limit in this motion: one that was configured, or that of a demand of the master. The
     /// drive watches its own demand.
     #[cold]
     fn is_to_follow(&self) -> bool {
         self.plan.limits.following_error != FollowingError::Derived || self.machine.makes_demand()
     }
 
-    /// What an axis in any state does that it must not.
+    /// The forbidden behaviour of an axis in any state, if there is any.
     #[inline(never)]
     fn watch_any(&mut self, now: Time, slot: &Slot, restarted: bool) -> Option<StopCause> {
         self.left_operation(restarted).or_else(|| self.watch_motion(now, slot))
@@ -148,7 +148,7 @@ impl DriveController {
         }
     }
 
-    /// What an axis with power must not do, in whatever state it is: leave its limits, or move without a command.
+    /// The forbidden motion of an axis with power, in whatever state it is: out of its limits, or without a command.
     fn watch_motion(&mut self, now: Time, slot: &Slot) -> Option<StopCause> {
         let state = self.feedback.status.state;
         // A drive in its fault reaction brakes by itself, and takes no request.
@@ -370,7 +370,7 @@ impl DriveController {
             Latch::Down(_, sequence) => (sequence.is_seen_off(), sequence.holds_load()),
             _ => (false, false),
         };
-        let known = Known {
+        let known = LoopFacts {
             standstill: self.plan.stop.standstill,
             answers: match self.ending {
                 Ending::No | Ending::Begun => self.answers(),
@@ -387,7 +387,7 @@ impl DriveController {
     }
 }
 
-/// What brings an axis to standstill.
+/// The means that bring an axis to standstill.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Braked {
     /// The stop that its plan names: a ramp of setpoints, if it is one.

@@ -1,4 +1,4 @@
-//! A new command: what it asks of the drive as it is now.
+//! A new command: what it requests of the drive as it is now.
 
 use super::view::View;
 use super::{End, Reset, State, Step};
@@ -13,7 +13,7 @@ pub(super) const OTHER_MODE: Failure = Failure::Unsupported(
     "it is not in the mode of its setpoint: look at 6061h, or wait for the end of a homing",
 );
 
-/// What a drive falls back to that does not come into operation, or does not stay in it.
+/// The power that a drive falls back to that does not come into operation, or does not stay in it.
 pub(super) fn fallen_back(rest: Power) -> Power {
     if rest == Power::EnableOperation { Power::Off } else { rest }
 }

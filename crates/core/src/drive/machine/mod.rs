@@ -50,9 +50,9 @@ type End = Option<Result<(), Failure>>;
 pub struct Machine {
     /// The command of which nothing has left yet.
     waiting: Option<Waiting>,
-    /// What the command follows.
+    /// The input that the command follows.
     pub input: Input,
-    /// What the requests that went out have led to; proposed is the first request of the command that waits.
+    /// The state after the requests that went out; proposed is the first request of the command that waits.
     state: Prepared<State>,
     /// The newest command, and how it has ended.
     command: Option<Command>,
@@ -80,7 +80,7 @@ struct State {
     sent: u32,
     /// Reports in a row that show the end of the step.
     agree: u16,
-    /// Its intents are not in the slot yet.
+    /// The intents are not in the slot yet.
     is_new: bool,
     /// The master makes the setpoints.
     has_course: bool,
@@ -199,7 +199,7 @@ impl Machine {
         self.input = Input { level, row: None };
     }
 
-    /// What its drive does not do.
+    /// The capabilities that its drive lacks.
     pub fn lacks(&self) -> &Lacks {
         &self.rules.can.lacks
     }
@@ -238,7 +238,7 @@ impl Machine {
         (self.command, self.waiting.map(|waiting| waiting.since))
     }
 
-    /// What is desired of the drive with the next send is in the slot.
+    /// Writes the desired state of the next send into the slot.
     #[inline(always)] // Once for each axis and cycle.
     pub fn keeps(&self, slot: &Slot) -> bool {
         self.waiting.is_none() && self.state.left().keeps_setpoint(&self.input, slot)
@@ -416,7 +416,7 @@ impl State {
         }
         let Some(command) = command else { return self.done() };
         match command {
-            // It asks nothing of the drive.
+            // It requests nothing of the drive.
             Command::Reset => self.done(),
             Command::Disable | Command::Stop { .. } | Command::QuickStop
                 if view.status.state.is_powered()
@@ -564,7 +564,7 @@ impl State {
         view.fresh && !view.status.suspect && view.evidence.accepted.power >= self.power.serial
     }
 
-    /// So many reports in a row show it, this one included.
+    /// True once `reports` reports in a row show it, this one included.
     fn agrees(&mut self, shown: bool, reports: impl Into<u16>, view: &View) -> bool {
         if !view.fresh || view.status.suspect {
             return false;

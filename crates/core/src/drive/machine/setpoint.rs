@@ -42,7 +42,7 @@ pub(super) struct Course {
     next: Point,
     /// The slot of the last send, or [`NEVER`](Self::NEVER).
     sent_at: Time,
-    /// What it was requested to be when it became constant, before it was limited.
+    /// The requested level when it became constant, before it was limited.
     level: f64,
     motion: Trajectory,
 }
@@ -125,7 +125,7 @@ impl Course {
         self.plan(Trajectory::go_to(self.demand, target, profile.velocity, profile.acceleration, down));
     }
 
-    /// What the setpoint does while the drive halts.
+    /// Leads the setpoint while the drive halts.
     pub(super) fn halt(&mut self, most: f64, view: &View) {
         let own = view.evidence.mode == ModeIs::Own;
         match view.rules.quantity {

@@ -5,7 +5,7 @@ use crate::bus::Slot;
 use crate::bus::desired::{Capabilities, Evidence, Generator, ModeIs, Quantity};
 use crate::time::Time;
 
-/// What does not change.
+/// The constants of the machine.
 #[derive(Debug)]
 pub(super) struct Rules {
     pub can: Capabilities,
@@ -26,7 +26,7 @@ impl Rules {
     }
 }
 
-/// What the loop has chosen for the command to follow with its next send.
+/// The setpoint that the loop has chosen for the command to follow with its next send.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[repr(C)]
 pub struct Input {
@@ -46,7 +46,7 @@ pub struct NumberedRow {
     pub row: Row,
 }
 
-/// What the machine works with.
+/// The inputs of the machine.
 #[derive(Clone, Copy)]
 pub(super) struct View<'a> {
     pub rules: &'a Rules,

@@ -6,10 +6,10 @@ use crate::axis::{
     StopCause,
 };
 
-/// What has happened; the ends of commands by their outcome.
+/// The code of an event; the ends of commands by their outcome.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[repr(u8)]
-pub(crate) enum What {
+pub(crate) enum EventCode {
     #[default]
     Link,
     State,
@@ -50,11 +50,11 @@ pub(crate) enum What {
     Dropped,
 }
 
-impl What {
+impl EventCode {
     /// That of a number in a record.
-    pub(crate) fn of(number: u8) -> Option<What> {
+    pub(crate) fn of(number: u8) -> Option<EventCode> {
         // SAFETY: numbered from 0 to the last one, each a byte.
-        (number <= What::Dropped as u8).then(|| unsafe { std::mem::transmute::<u8, What>(number) })
+        (number <= EventCode::Dropped as u8).then(|| unsafe { std::mem::transmute::<u8, EventCode>(number) })
     }
 }
 
@@ -66,14 +66,14 @@ pub struct EventRecord {
     pub index: u64,
     /// The command that ended.
     pub(crate) id: u64,
-    /// What the values are of.
+    /// The quantity of the values.
     pub(crate) text: &'static str,
     pub(crate) values: [f64; 3],
     /// A code of the drive, or the number of a state, a link or a cause.
     pub(crate) number: u32,
     /// The axis, in the order of the plan.
     pub axis: u16,
-    pub(crate) what: What,
+    pub(crate) what: EventCode,
     /// The code of the command that ended; the register of an emergency, or a channel.
     pub(crate) code: u8,
 }
@@ -100,7 +100,7 @@ impl EventRecord {
 
     /// The axis that began the stop, if it is one of a stop group.
     pub fn begun_by(&self) -> Option<BegunBy> {
-        let is_stop = matches!(self.what, What::Stopped | What::AbortedByStop);
+        let is_stop = matches!(self.what, EventCode::Stopped | EventCode::AbortedByStop);
         let cause = StopCause::of(usize::from((self.number >> 8) as u8)).filter(|_| is_stop)?;
         Some(BegunBy { axis: (self.number >> 16) as u16, cause })
     }
@@ -112,23 +112,23 @@ impl EventRecord {
                 let code = Command::NAMES.iter().position(|name| *name == command).unwrap_or(0) as u8;
                 EventRecord::ended(0, id, code, outcome)
             }
-            EventKind::Link(link) => number(What::Link, link as u32),
-            EventKind::State(state) => number(What::State, state as u32),
-            EventKind::Fault(code) => number(What::Fault, code),
-            EventKind::Warning(word) => number(What::Warning, word),
+            EventKind::Link(link) => number(EventCode::Link, link as u32),
+            EventKind::State(state) => number(EventCode::State, state as u32),
+            EventKind::Fault(code) => number(EventCode::Fault, code),
+            EventKind::Warning(word) => number(EventCode::Warning, word),
             EventKind::Emergency(Emergency { code, register }) => {
-                EventRecord { code: register, ..number(What::Emergency, code.into()) }
+                EventRecord { code: register, ..number(EventCode::Emergency, code.into()) }
             }
-            EventKind::Stopped(cause) => number(What::Stopped, cause as u32),
-            EventKind::StoClosed(closed) => number(What::StoClosed, closed.into()),
-            EventKind::MissedInGroup => number(What::MissedInGroup, 0),
-            EventKind::Underrun => number(What::Underrun, 0),
-            EventKind::Restarted => number(What::Restarted, 0),
+            EventKind::Stopped(cause) => number(EventCode::Stopped, cause as u32),
+            EventKind::StoClosed(closed) => number(EventCode::StoClosed, closed.into()),
+            EventKind::MissedInGroup => number(EventCode::MissedInGroup, 0),
+            EventKind::Underrun => number(EventCode::Underrun, 0),
+            EventKind::Restarted => number(EventCode::Restarted, 0),
             EventKind::PositionJump(by) => {
-                EventRecord { values: [by, 0.0, 0.0], ..number(What::PositionJump, 0) }
+                EventRecord { values: [by, 0.0, 0.0], ..number(EventCode::PositionJump, 0) }
             }
             EventKind::MonitorRefused { channel, status } => {
-                EventRecord { code: channel, ..number(What::MonitorRefused, status) }
+                EventRecord { code: channel, ..number(EventCode::MonitorRefused, status) }
             }
         }
     }
@@ -136,65 +136,70 @@ impl EventRecord {
     fn of_outcome(outcome: Outcome) -> EventRecord {
         let number = |what, number| EventRecord { what, number, ..EventRecord::default() };
         let failure = match outcome {
-            Outcome::Done => return number(What::Done, 0),
+            Outcome::Done => return number(EventCode::Done, 0),
             Outcome::Aborted(Abort::Replaced(CommandId(by))) => {
-                return EventRecord { values: [f64::from_bits(by), 0.0, 0.0], ..number(What::ReplacedBy, 0) };
+                return EventRecord {
+                    values: [f64::from_bits(by), 0.0, 0.0],
+                    ..number(EventCode::ReplacedBy, 0)
+                };
             }
-            Outcome::Aborted(Abort::Stopped(cause)) => return number(What::AbortedByStop, cause as u32),
+            Outcome::Aborted(Abort::Stopped(cause)) => return number(EventCode::AbortedByStop, cause as u32),
             Outcome::Failed(failure) => failure,
         };
         match failure {
-            Failure::WrongState(state) => number(What::WrongState, state as u32),
-            Failure::NotEnabled => number(What::NotEnabled, 0),
-            Failure::DriveFault(code) => number(What::DriveFault, code),
-            Failure::TimedOut(state) => number(What::TimedOut, state as u32),
-            Failure::NotTaken => number(What::NotTaken, 0),
-            Failure::NotArrived => number(What::NotArrived, 0),
+            Failure::WrongState(state) => number(EventCode::WrongState, state as u32),
+            Failure::NotEnabled => number(EventCode::NotEnabled, 0),
+            Failure::DriveFault(code) => number(EventCode::DriveFault, code),
+            Failure::TimedOut(state) => number(EventCode::TimedOut, state as u32),
+            Failure::NotTaken => number(EventCode::NotTaken, 0),
+            Failure::NotArrived => number(EventCode::NotArrived, 0),
             Failure::OutOfPosition { distance, window } => {
-                EventRecord { values: [distance, window, 0.0], ..number(What::OutOfPosition, 0) }
+                EventRecord { values: [distance, window, 0.0], ..number(EventCode::OutOfPosition, 0) }
             }
-            Failure::StillMoves => number(What::StillMoves, 0),
-            Failure::Latched(cause) => number(What::Latched, cause as u32),
-            Failure::NotOnline => number(What::NotOnline, 0),
+            Failure::StillMoves => number(EventCode::StillMoves, 0),
+            Failure::Latched(cause) => number(EventCode::Latched, cause as u32),
+            Failure::NotOnline => number(EventCode::NotOnline, 0),
             Failure::Limit { what, value, low, high } => {
-                EventRecord { text: what, values: [value, low, high], ..number(What::Limit, 0) }
+                EventRecord { text: what, values: [value, low, high], ..number(EventCode::Limit, 0) }
             }
             Failure::NotPositive { what, value } => {
-                EventRecord { text: what, values: [value, 0.0, 0.0], ..number(What::NotPositive, 0) }
+                EventRecord { text: what, values: [value, 0.0, 0.0], ..number(EventCode::NotPositive, 0) }
             }
-            Failure::StoOpen => number(What::StoOpen, 0),
-            Failure::LoadInMotion => number(What::LoadInMotion, 0),
-            Failure::GroupRefused => number(What::GroupRefused, 0),
-            Failure::NotHomed => number(What::NotHomed, 0),
-            Failure::BeingWritten => number(What::BeingWritten, 0),
+            Failure::StoOpen => number(EventCode::StoOpen, 0),
+            Failure::LoadInMotion => number(EventCode::LoadInMotion, 0),
+            Failure::GroupRefused => number(EventCode::GroupRefused, 0),
+            Failure::NotHomed => number(EventCode::NotHomed, 0),
+            Failure::BeingWritten => number(EventCode::BeingWritten, 0),
             Failure::Range(RangeError { value, unit, low, high }) => {
-                EventRecord { text: unit, values: [value, low, high], ..number(What::Range, 0) }
+                EventRecord { text: unit, values: [value, low, high], ..number(EventCode::Range, 0) }
             }
-            Failure::NotFinite => number(What::NotFinite, 0),
-            Failure::Unsupported(why) => EventRecord { text: why, ..number(What::Unsupported, 0) },
-            Failure::Underrun => number(What::StreamUnderrun, 0),
-            Failure::Dropped(state) => number(What::Dropped, state as u32),
+            Failure::NotFinite => number(EventCode::NotFinite, 0),
+            Failure::Unsupported(why) => EventRecord { text: why, ..number(EventCode::Unsupported, 0) },
+            Failure::Underrun => number(EventCode::StreamUnderrun, 0),
+            Failure::Dropped(state) => number(EventCode::Dropped, state as u32),
         }
     }
 
     /// The event; `None` if its numbers have no meaning here.
     pub fn kind(&self) -> Option<EventKind> {
         Some(match self.what {
-            What::Link => EventKind::Link(*Link::ALL.get(self.number as usize)?),
-            What::State => EventKind::State(self.state()?),
-            What::Fault => EventKind::Fault(self.number),
-            What::Warning => EventKind::Warning(self.number),
-            What::Emergency => {
+            EventCode::Link => EventKind::Link(*Link::ALL.get(self.number as usize)?),
+            EventCode::State => EventKind::State(self.state()?),
+            EventCode::Fault => EventKind::Fault(self.number),
+            EventCode::Warning => EventKind::Warning(self.number),
+            EventCode::Emergency => {
                 let code = u16::try_from(self.number).ok()?;
                 EventKind::Emergency(Emergency { code, register: self.code })
             }
-            What::Stopped => EventKind::Stopped(self.cause()?),
-            What::StoClosed => EventKind::StoClosed(self.number != 0),
-            What::MissedInGroup => EventKind::MissedInGroup,
-            What::Underrun => EventKind::Underrun,
-            What::Restarted => EventKind::Restarted,
-            What::PositionJump => EventKind::PositionJump(self.values[0]),
-            What::MonitorRefused => EventKind::MonitorRefused { channel: self.code, status: self.number },
+            EventCode::Stopped => EventKind::Stopped(self.cause()?),
+            EventCode::StoClosed => EventKind::StoClosed(self.number != 0),
+            EventCode::MissedInGroup => EventKind::MissedInGroup,
+            EventCode::Underrun => EventKind::Underrun,
+            EventCode::Restarted => EventKind::Restarted,
+            EventCode::PositionJump => EventKind::PositionJump(self.values[0]),
+            EventCode::MonitorRefused => {
+                EventKind::MonitorRefused { channel: self.code, status: self.number }
+            }
             _ => {
                 let command = Command::NAMES.get(usize::from(self.code))?;
                 EventKind::Ended { id: CommandId(self.id), command, outcome: self.outcome()? }
@@ -205,33 +210,33 @@ impl EventRecord {
     fn outcome(&self) -> Option<Outcome> {
         let [value, low, high] = self.values;
         Some(Outcome::Failed(match self.what {
-            What::Done => return Some(Outcome::Done),
-            What::ReplacedBy => {
+            EventCode::Done => return Some(Outcome::Done),
+            EventCode::ReplacedBy => {
                 return Some(Outcome::Aborted(Abort::Replaced(CommandId(value.to_bits()))));
             }
-            What::AbortedByStop => return Some(Outcome::Aborted(Abort::Stopped(self.cause()?))),
-            What::WrongState => Failure::WrongState(self.state()?),
-            What::NotEnabled => Failure::NotEnabled,
-            What::DriveFault => Failure::DriveFault(self.number),
-            What::TimedOut => Failure::TimedOut(self.state()?),
-            What::NotTaken => Failure::NotTaken,
-            What::NotArrived => Failure::NotArrived,
-            What::OutOfPosition => Failure::OutOfPosition { distance: value, window: low },
-            What::StillMoves => Failure::StillMoves,
-            What::Latched => Failure::Latched(self.cause()?),
-            What::NotOnline => Failure::NotOnline,
-            What::Limit => Failure::Limit { what: self.text, value, low, high },
-            What::NotPositive => Failure::NotPositive { what: self.text, value },
-            What::StoOpen => Failure::StoOpen,
-            What::LoadInMotion => Failure::LoadInMotion,
-            What::GroupRefused => Failure::GroupRefused,
-            What::NotHomed => Failure::NotHomed,
-            What::BeingWritten => Failure::BeingWritten,
-            What::Range => Failure::Range(RangeError { value, unit: self.text, low, high }),
-            What::NotFinite => Failure::NotFinite,
-            What::Unsupported => Failure::Unsupported(self.text),
-            What::StreamUnderrun => Failure::Underrun,
-            What::Dropped => Failure::Dropped(self.state()?),
+            EventCode::AbortedByStop => return Some(Outcome::Aborted(Abort::Stopped(self.cause()?))),
+            EventCode::WrongState => Failure::WrongState(self.state()?),
+            EventCode::NotEnabled => Failure::NotEnabled,
+            EventCode::DriveFault => Failure::DriveFault(self.number),
+            EventCode::TimedOut => Failure::TimedOut(self.state()?),
+            EventCode::NotTaken => Failure::NotTaken,
+            EventCode::NotArrived => Failure::NotArrived,
+            EventCode::OutOfPosition => Failure::OutOfPosition { distance: value, window: low },
+            EventCode::StillMoves => Failure::StillMoves,
+            EventCode::Latched => Failure::Latched(self.cause()?),
+            EventCode::NotOnline => Failure::NotOnline,
+            EventCode::Limit => Failure::Limit { what: self.text, value, low, high },
+            EventCode::NotPositive => Failure::NotPositive { what: self.text, value },
+            EventCode::StoOpen => Failure::StoOpen,
+            EventCode::LoadInMotion => Failure::LoadInMotion,
+            EventCode::GroupRefused => Failure::GroupRefused,
+            EventCode::NotHomed => Failure::NotHomed,
+            EventCode::BeingWritten => Failure::BeingWritten,
+            EventCode::Range => Failure::Range(RangeError { value, unit: self.text, low, high }),
+            EventCode::NotFinite => Failure::NotFinite,
+            EventCode::Unsupported => Failure::Unsupported(self.text),
+            EventCode::StreamUnderrun => Failure::Underrun,
+            EventCode::Dropped => Failure::Dropped(self.state()?),
             _ => return None,
         }))
     }
@@ -313,17 +318,19 @@ mod tests {
             assert_eq!((record.index, record.axis, record.kind()), (7, 3, Some(kind)));
             assert_eq!(record.begun_by(), begun_by, "{kind}");
         }
-        assert_eq!(seen.len(), What::Dropped as usize + 1, "a kind of event is missing in this test");
+        assert_eq!(seen.len(), EventCode::Dropped as usize + 1, "a kind of event is missing in this test");
     }
 
     #[test]
     fn numbers_without_a_meaning_are_no_event() {
         let event = |what, number| EventRecord { what, number, ..EventRecord::default() };
-        for what in [What::Link, What::State, What::Stopped, What::WrongState, What::Latched] {
+        for what in
+            [EventCode::Link, EventCode::State, EventCode::Stopped, EventCode::WrongState, EventCode::Latched]
+        {
             assert_eq!(event(what, 99).kind(), None, "{what:?}");
         }
-        assert_eq!(event(What::Stopped, 0).kind(), None);
-        assert_eq!(event(What::Emergency, 0x1_0000).kind(), None);
-        assert_eq!(EventRecord { code: 99, ..event(What::Done, 0) }.kind(), None);
+        assert_eq!(event(EventCode::Stopped, 0).kind(), None);
+        assert_eq!(event(EventCode::Emergency, 0x1_0000).kind(), None);
+        assert_eq!(EventRecord { code: 99, ..event(EventCode::Done, 0) }.kind(), None);
     }
 }

@@ -458,7 +458,7 @@ fn an_axis_whose_command_failed_brakes_and_does_not_speed_up() {
 }
 
 #[test]
-fn what_the_quick_comparison_allows_is_not_forbidden() {
+fn the_quick_limit_check_allows_only_permitted_values() {
     let random = &mut fastrand::Rng::with_seed(1);
     let value = |random: &mut fastrand::Rng| match random.u8(..12) {
         0 => f64::NAN,

@@ -2,7 +2,7 @@
 //! and time, without a socket or a clock, so that the link thread and a virtual world run the same one. A serial port
 //! is such a connection, too: one that is open at once, without a handshake.
 //!
-//! Its caller has the socket. Every event returns the [`Action`] that follows from it; with
+//! The caller has the socket. Every event returns the [`Action`] that follows from it; with
 //! [`poll`](Connection::poll) at [`next_due`](Connection::next_due) no wait is longer than the [`StreamPeer`] allows.
 
 use std::net::{Ipv4Addr, SocketAddrV4};
@@ -67,10 +67,10 @@ enum Phase {
 #[derive(Debug)]
 pub struct Connection {
     peer: StreamPeer,
-    /// What was given up, in words.
+    /// The name of the request that was given up.
     name: String,
     notes: LinkNotes,
-    /// Its index in the notes.
+    /// The index in the notes.
     index: usize,
     phase: Phase,
     /// The pause after the next failure.
@@ -174,7 +174,7 @@ impl Connection {
         }
     }
 
-    /// Its session runs, if it has one: it is due, or somebody has posted something.
+    /// The session runs, if it has one: it is due, or somebody has posted something.
     pub fn run(&mut self, now: Time) -> Action {
         self.rests_until = now + SHORTEST_RUN_NS;
         let state = self.peer.handshake.run(now, &mut self.out);

@@ -30,7 +30,7 @@ use crate::time::{MS, Time};
 /// due for long.
 const KEEPALIVE_S: u32 = 1;
 
-/// So many probes without an answer end it, if TCP_USER_TIMEOUT has not done so before.
+/// The number of probes without an answer that end it, if TCP_USER_TIMEOUT has not done so before.
 const KEEPALIVE_COUNT: u32 = 3;
 
 /// A lost request is repeated after so long at the earliest, µs, instead of 200 ms: with one request under way nothing

@@ -70,7 +70,7 @@ pub(in crate::net) fn silent() -> Hello {
     Hello::new(b"", b"")
 }
 
-/// A peer that is given all the time, and asked often.
+/// A peer with long limits and short pauses.
 pub(in crate::net) fn patient(address: SocketAddrV4, handshake: impl Handshake + 'static) -> StreamPeer {
     StreamPeer {
         connect_ns: 600 * S,
@@ -160,7 +160,7 @@ pub(in crate::net) fn reset(stream: TcpStream) {
     setsockopt(&stream, sockopt::Linger, &libc::linger { l_onoff: 1, l_linger: 0 }).unwrap();
 }
 
-/// Listens, and has no room for any connection: the kernel drops what asks for one.
+/// Listens, and has no room for any connection: the kernel drops requests for one.
 struct BlackHole {
     _listener: OwnedFd,
     _only: TcpStream,
@@ -202,7 +202,7 @@ fn thirty_two_dead_peers_do_not_hold_up_the_next_one() {
 }
 
 #[test]
-fn a_peer_that_does_not_answer_is_given_up_and_asked_again() {
+fn a_silent_peer_is_given_up_and_tried_again() {
     let mute = listener(address(3, 10));
     let _hole = BlackHole::new(address(3, 11));
     let short = |host| StreamPeer {
@@ -226,7 +226,7 @@ fn a_peer_that_does_not_answer_is_given_up_and_asked_again() {
 }
 
 #[test]
-fn a_peer_that_refuses_or_resets_its_connections_is_asked_until_it_keeps_one() {
+fn a_peer_that_refuses_or_resets_connections_is_tried_until_one_holds() {
     let mut streams = Os::default().streams(vec![patient(address(4, 10), Hello::welcome())]).unwrap();
     let notes = streams.notes();
     until("noted", || notes.get(0).is_some());
@@ -247,8 +247,8 @@ fn a_peer_that_refuses_or_resets_its_connections_is_asked_until_it_keeps_one() {
 }
 
 #[test]
-fn a_peer_may_speak_first_and_nobody_spins_meanwhile() {
-    in_own_process("net::link::tests::a_peer_may_speak_first_and_nobody_spins_meanwhile", || {
+fn a_peer_may_send_first_and_the_link_thread_does_not_spin() {
+    in_own_process("net::link::tests::a_peer_may_send_first_and_the_link_thread_does_not_spin", || {
         let listener = listener(address(11, 10));
         let mut streams =
             Os::default().streams(vec![patient(address(11, 10), Hello::new(b"", b"ready to go\n"))]).unwrap();

@@ -185,7 +185,7 @@ impl Drop for Gone {
     }
 }
 
-/// What the thread owns.
+/// The state that the thread owns.
 struct Worker {
     epoll: Epoll,
     shared: Arc<Shared>,

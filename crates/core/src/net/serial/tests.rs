@@ -78,7 +78,7 @@ fn a_port_has_the_settings_of_its_wire() {
 }
 
 #[test]
-fn what_the_driver_does_not_take_is_counted_and_continued_in_order() {
+fn bytes_refused_by_the_driver_are_counted_and_sent_later_in_order() {
     let mut pty = Pty::new();
     let mut port = open(&pty.path);
     let bytes: Vec<u8> = (0..200_000_u32).map(|n| (n % 251) as u8).collect();

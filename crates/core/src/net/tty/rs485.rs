@@ -108,7 +108,7 @@ mod tests {
     }
 
     #[test]
-    fn what_the_driver_reports_is_compared() {
+    fn rs485_settings_reported_by_the_driver_are_compared() {
         let wanted = Setting::default().switched_on();
         let reports = |flags| Setting { flags, ..wanted }.meets(wanted);
         assert!(reports(ENABLED | RTS_ON_SEND) && reports(ENABLED | RTS_ON_SEND | RX_DURING_TX));

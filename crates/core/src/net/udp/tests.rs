@@ -91,7 +91,7 @@ fn a_dead_peer_on_a_living_host_is_no_error() {
 }
 
 #[test]
-fn what_the_kernel_dropped_is_counted_to_the_last_datagram() {
+fn datagrams_dropped_by_the_kernel_are_counted_to_the_last_one() {
     let mut udp = Udp::bind(address(10, 1), &options(1)).unwrap();
     let unknown = peer(10, 200);
     let (mut sent, mut taken) = (0, 0);

@@ -5,7 +5,7 @@ use libc::c_long;
 
 use super::Only;
 
-/// What the C library and the standard library call on every thread.
+/// The calls of the C library and the standard library on every thread.
 pub const OF_EVERY_THREAD: &[c_long] = &[
     // Memory; and how many cores there are, for its arenas.
     libc::SYS_sched_getaffinity,
@@ -49,7 +49,7 @@ pub const OF_EVERY_THREAD: &[c_long] = &[
     libc::SYS_exit_group,
 ];
 
-/// What a thread calls in addition that starts others.
+/// The additional calls of a thread that starts others.
 pub const TO_START_THREADS: &[c_long] = &[
     // One or the other, by the C library.
     libc::SYS_clone,
@@ -62,7 +62,7 @@ pub const TO_START_THREADS: &[c_long] = &[
     libc::SYS_prlimit64,
 ];
 
-/// What a server calls in addition, on sockets that are open.
+/// The additional calls of a server, on sockets that are open.
 pub const TO_SERVE: &[c_long] = &[
     // Its clients.
     libc::SYS_accept4,
@@ -95,7 +95,7 @@ pub const TO_SERVE: &[c_long] = &[
     libc::SYS_statx,
 ];
 
-/// What the scope calls in addition to find and reach the masters of this computer.
+/// The additional calls of the scope to find and reach the masters of this computer.
 pub const TO_REACH_A_MASTER: &[c_long] = &[
     libc::SYS_connect,
     // A display in the master's own process.

@@ -101,7 +101,7 @@ fn a_server_writes_no_file_executes_nothing_and_makes_no_socket_but_to_a_master(
 }
 
 #[test]
-fn whoever_gives_up_rights_gains_none_by_a_file_and_leaves_those_of_other_threads_alone() {
+fn a_confined_thread_gains_no_rights_by_a_file_and_leaves_other_threads_alone() {
     let before = (no_new_privileges(), capabilities());
     on_a_thread(|| {
         give_up_rights(Keep::Nothing);

@@ -40,7 +40,7 @@ impl Alone {
     }
 }
 
-/// What an old report may say.
+/// The losses that an old report may state.
 const LOSSES: [fn(&mut DriveStatus); 7] = [
     |status| status.state = State::SwitchOnDisabled,
     |status| status.state = State::SwitchedOn,

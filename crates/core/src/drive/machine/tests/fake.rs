@@ -37,13 +37,13 @@ pub struct Drive {
     pub can: Capabilities,
     pub state: State,
     pub point: Point,
-    /// What it makes by itself, if it does, and for how long.
+    /// The motion that it makes by itself, if it does, and for how long.
     motion: Option<(Trajectory, u64)>,
-    /// What its reports show; its reference and its places are filled in.
+    /// The evidence of its reports; its reference and its places are filled in.
     pub shows: Evidence,
     before: ControlWord,
     mode_in: u32,
-    /// Its motion is that of a homing.
+    /// The motion is that of a homing.
     homes: bool,
     pub homed: bool,
     boots: u32,
@@ -56,16 +56,16 @@ pub struct Drive {
     /// The fault comes back after each reset.
     pub persists: bool,
     pub code: u32,
-    /// Its motor stays here, whatever the demand does.
+    /// The motor stays here, whatever the demand does.
     pub blocked: Option<f64>,
-    /// What a count that was unwrapped on the other side adds to its actual position.
+    /// The amount that a count unwrapped on the other side adds to its actual position.
     pub wrapped: f64,
     /// It turns at this velocity while it is not halted.
     pub own_reference: Option<f64>,
-    /// Its output runs so many rows behind those that it has accepted.
+    /// The output runs so many rows behind those that it has accepted.
     pub buffer: usize,
     rows: VecDeque<Point>,
-    /// Its demand is reported so far from where it is, to either side in turn.
+    /// The demand is reported so far from where it is, to either side in turn.
     pub restless: f64,
     /// The newest first.
     pub reports: VecDeque<Report>,
@@ -147,7 +147,7 @@ impl Drive {
         self.point.velocity != 0.0 || self.motion.is_some_and(|(motion, ns)| !motion.is_over(ns))
     }
 
-    /// What it makes by itself has ended here.
+    /// Ends here the motion that it makes by itself.
     pub fn stay(&mut self) {
         (self.motion, self.point.velocity) = (None, 0.0);
     }

@@ -31,7 +31,7 @@ type End = Option<Result<(), Failure>>;
 const STOP: Command = Command::Stop { deceleration: None };
 const PROFILE: Profile = Profile { velocity: 100.0, acceleration: 1_000.0, deceleration: 1_000.0 };
 
-/// What becomes of an exchange.
+/// The fate of an exchange.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Fate {
     Good,
@@ -49,7 +49,7 @@ struct Rig {
     slot: Slot,
     drive: Drive,
     now: Time,
-    /// What went out, in all exchanges.
+    /// The requests that went out, in all exchanges.
     gone: Vec<Desired>,
     /// The drive's restarts that were reported.
     restarts: u32,
@@ -57,7 +57,7 @@ struct Rig {
 }
 
 #[test]
-fn what_most_cycles_look_at_is_one_cache_line_and_one_of_the_state() {
+fn usual_cycles_read_one_cache_line_and_one_of_the_state() {
     use std::mem::offset_of;
     assert!(offset_of!(Machine, input) <= 56, "{}", offset_of!(Machine, input));
     assert_eq!(offset_of!(Machine, state) % 64, 0);
@@ -237,7 +237,7 @@ impl Rig {
         self.propose();
     }
 
-    /// What went out holds for its serial from then on.
+    /// Remembers the sent state for its serial from then on.
     fn remember(&mut self, desired: &Desired) {
         if let Some(before) = self.gone.last() {
             let (power, mode, motion) = (desired.power, desired.mode, desired.motion);
@@ -307,7 +307,7 @@ impl Rig {
         self.drive.state
     }
 
-    /// What goes out next.
+    /// The power of the next request.
     fn power(&self) -> Power {
         self.slot.desired.power.value
     }

@@ -53,7 +53,7 @@ fn a_stop_behind_an_enable_in_operation_leaves_it_in_operation() {
 }
 
 #[test]
-fn what_does_not_come_up_goes_back_to_where_it_was_and_says_why() {
+fn a_failed_power_up_goes_back_and_says_why() {
     let named = Failure::DriveFault(5);
     for can in kinds() {
         let mut rig = found(can, Cia402::SwitchedOn);

@@ -56,7 +56,7 @@ impl Dice {
     }
 }
 
-/// What was seen of the newest command.
+/// The observations of the newest command.
 #[derive(Default)]
 struct Judge {
     command: Option<Command>,
@@ -146,7 +146,7 @@ impl Judge {
         self.end = end;
     }
 
-    /// What went out, by what went out before.
+    /// Checks a request by the one before it.
     fn request(&self, rig: &Rig, before: &Desired, gone: &Desired, since_ns: u64) {
         let on = |power| matches!(power, Power::SwitchOn | Power::EnableOperation);
         let rises = on(gone.power.value) && !on(before.power.value);
@@ -259,7 +259,7 @@ fn run(seed: u64) {
 }
 
 #[test]
-fn whatever_happens_nothing_moves_that_must_not() {
+fn random_events_cause_no_forbidden_motion() {
     for seed in 0..SEQUENCES {
         let held = std::panic::catch_unwind(|| run(seed));
         assert!(held.is_ok(), "in sequence {seed}");

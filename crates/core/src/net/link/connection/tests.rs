@@ -56,7 +56,7 @@ fn assert_about(ns: u64, nominal: u64) {
 }
 
 #[test]
-fn what_the_protocol_finds_or_what_nobody_requested_is_told_with_the_address_and_the_next_one_begins_anew() {
+fn protocol_errors_and_unrequested_bytes_are_reported_with_the_address_and_a_reconnect_follows() {
     let (mut connection, notes) = connection(b"hello", b"welcome");
     for (replies, note) in [
         (&[&b"weird"[..]][..], "192.168.1.20:502: speaks another language"),

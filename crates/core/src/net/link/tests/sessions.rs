@@ -19,7 +19,7 @@ struct Toy {
     log: Arc<Log>,
 }
 
-/// What happened to a session.
+/// The events of a session.
 #[derive(Debug, Default)]
 struct Log {
     opened: AtomicU64,

@@ -16,7 +16,7 @@ fn carrier(x: u8, groups: usize) -> (Udp, Arc<dyn Groups>) {
     (udp, groups)
 }
 
-/// Its datagrams to groups leave by the loopback interface.
+/// The datagrams to groups leave by the loopback interface.
 fn sender(x: u8, host: u8) -> UdpSocket {
     let socket = peer(x, host);
     let interface = libc::in_addr { s_addr: address(x, host).ip().to_bits().to_be() };
@@ -25,7 +25,7 @@ fn sender(x: u8, host: u8) -> UdpSocket {
 }
 
 #[test]
-fn what_is_sent_to_a_group_is_received_from_the_join_to_the_leave() {
+fn multicast_is_received_from_join_to_leave() {
     let (mut udp, groups) = carrier(20, 2);
     let drive = sender(20, 9);
     let from = address(20, 9);

@@ -8,14 +8,14 @@ use proptest::prelude::*;
 use super::*;
 use crate::time::Ns;
 
-/// What happened to a session.
+/// The events of a session.
 #[derive(Debug, Default)]
 struct Log {
     opened: usize,
     closed: Vec<String>,
     got: Vec<u8>,
     runs: Vec<Time>,
-    /// What it does next.
+    /// The time of its next action.
     due: Option<Time>,
     next: Option<HandshakeState>,
     say: Vec<u8>,
@@ -143,7 +143,7 @@ fn each_end_is_reported_once_with_its_reason_and_opened_again_after_a_pause() {
 
 proptest! {
     #[test]
-    fn whatever_happens_there_is_one_socket_one_owner_and_an_end_to_every_wait(
+    fn random_events_keep_one_socket_one_owner_and_bounded_waits(
         // Times in all orders of magnitude.
         steps in prop::collection::vec(
             (0..10_u8, 0..4_usize, (0..35_u32).prop_flat_map(|bits| 0..1_u64 << bits)),
