@@ -18,7 +18,8 @@ const REPEATED_NS: u64 = 200 * MS;
 const REPEATED_BY_NS: u64 = REPEATED_NS + 10 * MS;
 
 impl UnidriveDrive {
-    /// What contradicts itself, or would not work with an exchange every `period_ns`; what every axis has left out.
+    /// The contradictions, and settings that would not work with an exchange every `period_ns`; those of every axis
+    /// left out.
     pub fn faults(&self, period_ns: u64) -> Vec<PlanFault> {
         let mut faults: Vec<PlanFault> = Mapping::new(self).err().into_iter().collect();
         faults.extend(self.axis.position_faults());
@@ -95,7 +96,7 @@ impl UnidriveDrive {
         period_ns.saturating_mul(4 * turns)
     }
 
-    /// What `check` says of it beyond its axis; the first line is its address.
+    /// The lines of `check` beyond its axis; the first line is its address.
     pub fn describe(&self, bind: Option<Ipv4Addr>, period_ns: u64) -> String {
         let every = Ns(period_ns.saturating_mul(self.axis.divisor.into()));
         let mut lines = vec![match bind {
@@ -170,7 +171,7 @@ impl UnidriveDrive {
         })
     }
 
-    /// What one lost frame costs. A host repeats it after [`REPEATED_NS`], after the doubled time if it is lost again.
+    /// The cost of one lost frame. A host repeats it after [`REPEATED_NS`], after the doubled time if it is lost again.
     pub(super) fn describe_loss(&self, every_ns: u64) -> String {
         let repeated = Ns(REPEATED_NS);
         let within_ns = self.reply_within_ns;

@@ -4,13 +4,13 @@
 //! SE guide): an accepted value reads back. Whether a drive writes before it reads is not documented, so a
 //! difference counts only if the value was written by an earlier request, and only if it differs twice.
 
-/// So many differing reads in a row are a refusal.
+/// The number of differing reads in a row that are a refusal.
 const DIFFERENT: u8 = 2;
 
 /// No value. One whole word: the value is read as it was written a moment ago, which a processor can do without a wait.
 const NONE: i64 = i64::MIN;
 
-/// What a read has shown.
+/// The result of a read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Shown {
     /// The written value.
@@ -126,7 +126,7 @@ mod tests {
     }
 
     #[test]
-    fn what_reads_back_is_as_if_written_and_read() {
+    fn a_read_back_value_counts_as_echo() {
         let mut random = fastrand::Rng::with_seed(3);
         let mut echo = Echo::default();
         for _ in 0..10_000 {
@@ -146,7 +146,7 @@ mod tests {
     }
 
     #[test]
-    fn two_reads_that_differ_are_a_refusal_told_once() {
+    fn two_differing_reads_are_a_refusal_reported_once() {
         let mut echo = Echo::default();
         echo.replied(5);
         assert_eq!(echo.read(1), Shown::Other, "it may have been read first");
@@ -163,7 +163,7 @@ mod tests {
     }
 
     #[test]
-    fn what_the_answer_says_needs_no_reading_and_what_reads_otherwise_later_is_not_taken() {
+    fn an_echo_in_the_answer_needs_no_reading_and_a_different_later_value_is_not_taken() {
         let mut echo = Echo::default();
         echo.confirm(5);
         assert_eq!(echo.taken(), Some(5));
@@ -173,7 +173,7 @@ mod tests {
     }
 
     #[test]
-    fn a_value_that_stood_and_reads_otherwise_was_changed_by_somebody_else() {
+    fn a_changed_read_back_value_is_a_sign_of_another_master() {
         let mut echo = Echo::default();
         echo.replied(5);
         assert_eq!((echo.read(5), echo.read(6), echo.taken()), (Shown::Same, Shown::Changed, None));

@@ -41,7 +41,7 @@ pub struct Finding {
     pub menu_0: bool,
     /// It follows control word and reference.
     pub obeys: bool,
-    /// Its time-out is set.
+    /// The time-out is set.
     pub watched: bool,
     /// The control word that it had.
     pub control: ControlWord,
@@ -61,7 +61,7 @@ pub struct Found {
 }
 
 impl Found {
-    /// What was found last.
+    /// The last finding.
     pub fn get(&self, log: &InputLog) -> Finding {
         let [bits, state] = &self.words;
         let bits = log.value(0, bits.load(Ordering::Acquire));
@@ -175,7 +175,7 @@ impl UnidriveHandshake {
         }
     }
 
-    /// Its longest duration, ns: a request for each block and each setting, three for those of menu 0, each with
+    /// The longest duration, ns: a request for each block and each setting, three for those of menu 0, each with
     /// the time limit of a reply; and the time that the drive may be busy.
     pub(super) fn longest_ns(&self) -> u64 {
         let menu_0 = self.settings.iter().filter(|setting| setting.purpose == Purpose::Menu0).count();
@@ -389,7 +389,7 @@ impl UnidriveHandshake {
         self.drive.set_up && !self.finding.status.active()
     }
 
-    /// What follows once the settings of menu 0 before this one stand; `None`: nothing.
+    /// The step once the settings of menu 0 before this one stand; `None`: nothing.
     fn next_setting(&self, from: usize) -> Option<Step> {
         if let Some(index) = self.unmet(Purpose::Menu0, from).filter(|_| self.may_set()) {
             return Some(Step::Set(index));

@@ -24,7 +24,7 @@ pub(super) struct Identity {
     /// The last sent request, 16 bits of its count. A whole word, like all of these: small neighbours are read
     /// together, and values just written in parts are slow to read as a whole.
     last: u32,
-    /// So many requests went out on this connection, at most [`REMEMBERED`].
+    /// The number of requests that went out on this connection, at most [`REMEMBERED`].
     sent: u32,
     /// Not 0: the last one has no reply yet.
     open: u32,
@@ -99,7 +99,7 @@ impl Identity {
         self.open = 0;
     }
 
-    /// So many requests were sent after the one with this id.
+    /// The number of requests sent after the one with this id.
     #[inline]
     fn before(&self, id: u16) -> u32 {
         (self.last as u16).wrapping_sub(id).into()

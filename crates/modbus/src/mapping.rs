@@ -41,7 +41,7 @@ impl Role {
     /// The index of the first monitored channel.
     pub const FIRST_SHOWN: usize = 5;
 
-    /// Its index in an [`Image`].
+    /// The index in an [`Image`].
     #[inline]
     pub const fn index(self) -> Option<usize> {
         match self {
@@ -57,7 +57,7 @@ impl Role {
         }
     }
 
-    /// Its key in a configuration.
+    /// The key in a configuration.
     fn key(self) -> &'static str {
         match self {
             Role::Control => "map.control",
@@ -144,7 +144,7 @@ impl Image {
 /// Parameters side by side, of one width.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Block {
-    /// Its address on the wire.
+    /// The address on the wire.
     pub address: u16,
     /// The number of registers.
     pub registers: u16,
@@ -152,7 +152,7 @@ pub struct Block {
     pub width: Width,
     /// The role of each parameter, in order.
     pub roles: Box<[Role]>,
-    /// Its roles that have an index in an [`Image`].
+    /// The roles that have an index in an [`Image`].
     pub(super) places: Places,
     /// They are 32 bits wide, and their indices in an [`Image`] are 0, 1, 2 ...
     pub(super) in_order: bool,

@@ -94,7 +94,7 @@ impl Target {
     }
 }
 
-/// What a call asks of the drive.
+/// The service of a call.
 pub type Service = long::Service<Target>;
 
 /// The width of a parameter, if it is known here; else 32 bits.

@@ -18,7 +18,7 @@ use fieldbeat_core::time::{S, Time};
 const CHECK_EVERY: u8 = 16;
 /// ... and each of them while there is a suspicion: for so many checks without a finding.
 const EAGER_CHECKS: u8 = 8;
-/// So many changes of the control word within this time, ns, are proof ...
+/// The number of changes of the control word within this time, ns, that are proof ...
 const CONTROL_CHANGES: u8 = 3;
 const WITHIN_NS: u64 = 2 * S;
 /// ... and so many of the reference, in checks in a row.
@@ -119,7 +119,7 @@ impl OtherMaster {
         (control || reference) && self.changed(at, control, reference)
     }
 
-    /// What the next check reads, if it cannot read both.
+    /// The word that the next check reads, if it cannot read both.
     pub(super) fn check(&self) -> Role {
         let reference = self.reference > 0 || self.turn && self.control == 0;
         if reference && !self.is_in_doubt() { Role::Reference } else { Role::Control }
@@ -167,7 +167,7 @@ mod tests {
     }
 
     #[test]
-    fn of_the_reference_only_many_in_a_row_are_proof() {
+    fn only_many_reference_changes_in_a_row_prove_another_master() {
         assert_eq!(proof([(false, true); 9]), Some(5));
         assert_eq!(proof((0..900).map(|n| (false, n % 6 != 0))), None, "a key that is held");
     }
@@ -209,7 +209,7 @@ mod tests {
     }
 
     #[test]
-    fn a_drive_that_somebody_commands_is_seen_before_anything_is_written() {
+    fn a_drive_commanded_by_another_master_is_detected_before_anything_is_written() {
         let proof = |values: fn(i32) -> (i32, i32)| {
             let mut other = OtherMaster::default();
             let read = |n: i32| [values(n).0, values(n).1].map(Some);

@@ -14,7 +14,7 @@ pub const PORT: u16 = 502;
 /// Drives that are each on a connection of their own.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ModbusPlan {
-    /// Its name in messages.
+    /// The name in messages.
     pub name: String,
     /// The address of this host that its connections leave from; `None`: whichever leads to a drive.
     pub bind: Option<Ipv4Addr>,
@@ -25,15 +25,16 @@ pub struct ModbusPlan {
 /// One Unidrive.
 #[derive(Clone, Debug, PartialEq)]
 pub struct UnidriveDrive {
-    /// What every protocol's axis has. The drive counts revolutions of the motor: `scale` says how many are one unit.
+    /// The settings of every protocol's axis. The drive counts revolutions of the motor: `scale` says how many are one
+    /// unit.
     pub axis: AxisPlan,
     /// Where the drive listens.
     pub address: SocketAddrV4,
-    /// Its serial number; `None`: whatever answers there is taken.
+    /// The serial number; `None`: whatever answers there is taken.
     pub serial: Option<u64>,
     /// Where that is read, in each handshake: the lower nine digits, and those above them, 32 bits each.
     pub serial_from: [Parameter; 2],
-    /// Its unit id; `None`: 255, and 0 where that is not answered.
+    /// The unit id; `None`: 255, and 0 where that is not answered.
     pub unit: Option<u8>,
     /// The slot of its Ethernet interface: 4 is the onboard one, 1 ... 3 have an SI-Ethernet option.
     pub slot: u8,
@@ -47,7 +48,7 @@ pub struct UnidriveDrive {
     pub functions: Functions,
     /// A reply counts for so long, ns. A Unidrive answers from a background task, without a guaranteed time.
     pub reply_within_ns: u64,
-    /// What stops the drive if the master dies.
+    /// The watchdog that stops the drive if the master dies.
     pub watchdog: Watchdog,
     /// The drive is set to what the master needs: menu 0 when a connection begins, the rest with the first command that
     /// needs it. Without that it is only looked whether it is so.
@@ -67,9 +68,9 @@ pub struct Map {
     pub speed: Mapped,
     /// The number of the last trip.
     pub trip: Option<Mapped>,
-    /// What the drive shows besides.
+    /// The additional values that the drive shows.
     pub show: [Option<Mapped>; MONITOR_CHANNELS],
-    /// What is read besides, for the native process data.
+    /// The additional values that are read for the native process data.
     pub also: Vec<Mapped>,
 }
 
@@ -93,7 +94,7 @@ impl Mapped {
         }
     }
 
-    /// Its value in the drive's units.
+    /// The value in the drive's units.
     pub fn value(&self, raw: i32) -> f64 {
         f64::from(raw) / 10_f64.powi(self.decimals as i32)
     }
@@ -146,7 +147,7 @@ pub enum Functions {
     Apart,
 }
 
-/// What makes the drive stop by itself when nothing comes any more.
+/// The watchdog that makes the drive stop by itself when no requests come any more.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Watchdog {
     /// Pr S.15.009 is set to this, ns: the drive trips without Modbus traffic for so long. Unit and action are assumed
@@ -172,7 +173,7 @@ const USUAL_REPLY_NS: u64 = 250 * MS;
 /// After so many references in a row it is the control word's turn, for the drive's watchdogs.
 pub(super) const REFERENCES_IN_A_ROW: u32 = 8;
 
-/// What a keypad watchdog waits for, ns (assumed).
+/// The time of a keypad watchdog, ns (assumed).
 pub const KEYPAD_WATCHDOG_NS: u64 = S;
 /// The longest time that Pr S.15.009 can be set to, ns: 16 bits of whole ms (assumed).
 pub const WATCHDOG_MAX_NS: u64 = u16::MAX as u64 * MS;
@@ -213,7 +214,7 @@ impl ModbusPlan {
 impl UnidriveDrive {
     /// No serial number is larger: eighteen digits.
     pub const SERIAL_MAX: u64 = 1_000_000_000_000_000_000;
-    /// What the higher part of a serial number counts.
+    /// The count of the higher part of a serial number.
     #[doc(hidden)]
     pub const SERIAL_PART: u64 = 1_000_000_000;
 
@@ -262,7 +263,7 @@ impl UnidriveDrive {
         Parameter::new(15, 9).in_slot(self.slot)
     }
 
-    /// What it shows besides, for people.
+    /// The additional values that it shows, for people.
     pub(super) fn shown(&self) -> [Option<MonitorChannel>; MONITOR_CHANNELS] {
         self.map.show.map(|mapped| {
             let parameter = mapped?.parameter;

@@ -40,7 +40,7 @@ const NOT_WATCHED: &str = "its watchdog is not set, nothing would stop it if the
 /// The drive's last report, and the values that it has acknowledged.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Inputs {
-    /// What it has of the written control word, and of the reference.
+    /// The echo of the written control word, and of the reference.
     pub control: Echo,
     pub reference: Echo,
     pub status: StatusWord,
@@ -48,7 +48,7 @@ pub(super) struct Inputs {
     pub trip: u16,
     /// There was a status at all.
     pub seen: bool,
-    /// Its number is known, as far as it will ever be.
+    /// The number is known, as far as it will ever be.
     pub named: bool,
     /// It is commanded to run, and its power stage stays off, or has switched off.
     pub dark: bool,
@@ -87,14 +87,14 @@ pub(super) struct Outputs {
     pub reference: i32,
 }
 
-/// What a drive in operation follows.
+/// The source of commands of a drive in operation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Source {
     /// The setpoints of the master.
     Setpoints,
     /// Nothing: it is halted.
     Halt,
-    /// What the application writes.
+    /// The native process data of the application.
     Native(NativeOwner),
 }
 
@@ -108,7 +108,7 @@ impl From<Motion> for Source {
     }
 }
 
-/// What the requests that left have led to.
+/// The state after the requests that left.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct State {
     /// The intents of which something was written: power, motion.
@@ -198,7 +198,7 @@ pub(super) struct Profile {
     on: u16,
 }
 
-/// What a drive can do.
+/// The capabilities of a drive.
 pub(super) fn capabilities(_drive: &UnidriveDrive) -> Capabilities {
     Capabilities {
         lacks: Lacks {
@@ -479,7 +479,7 @@ impl Profile {
         self.state.change(|state| state.not_taken = true);
     }
 
-    /// What a report proves of a drive that has tripped at `tripped_at`.
+    /// Takes the evidence of a report of a drive that has tripped at `tripped_at`.
     pub(super) fn prove(&mut self, inputs: &Inputs, tripped_at: Option<Time>, evidence: &mut Evidence) {
         let State { serials: (power, motion), is_refused, not_taken, .. } = *self.state.left();
         let taken = !self.is_new() && self.at_status == (power, motion) && inputs.have(self.outputs);

@@ -8,7 +8,7 @@
 use super::plan::Functions;
 use super::wire::ExceptionCode;
 
-/// What is known of one drive.
+/// The knowledge of one drive.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct ReadWrite {
     used: bool,

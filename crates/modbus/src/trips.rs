@@ -36,7 +36,7 @@ impl Trip {
     /// Written to Pr 10.038, the log is cleared instead of a trip (assumed).
     pub const USER_CLEAR: u16 = 255;
 
-    /// Its meaning, if known.
+    /// The meaning, if known.
     pub const fn name(self) -> Option<&'static str> {
         match self.known() {
             Some((name, _)) => Some(name),
@@ -44,7 +44,7 @@ impl Trip {
         }
     }
 
-    /// Its name is not from a document.
+    /// The name is not from a document.
     pub const fn assumed(self) -> bool {
         matches!(self.known(), Some((_, true)))
     }
@@ -57,7 +57,7 @@ impl Trip {
         }
     }
 
-    /// Its master was silent: the watchdog of the control word, or that of a module, which shares its trip with other
+    /// The master was silent: the watchdog of the control word, or that of a module, which shares its trip with other
     /// errors of the module.
     pub const fn is_of_silence(self) -> bool {
         matches!(self, Trip::WATCHDOG | Trip(202 | 207 | 212 | 252))

@@ -140,7 +140,7 @@ mod tests {
 
     /// Each first request finds it busy, and each second one is accepted first.
     #[test]
-    fn a_unidrive_that_is_busy_is_asked_again() {
+    fn a_busy_unidrive_is_requested_again() {
         let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
         let SocketAddr::V4(address) = listener.local_addr().unwrap() else { unreachable!("bound to IPv4") };
         let found = std::thread::scope(|scope| {

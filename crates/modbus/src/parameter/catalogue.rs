@@ -7,14 +7,14 @@
 use super::{Parameter, SLOT_MAX, Width};
 pub use fieldbeat_core::axis::acyclic::Rights as Access;
 
-/// What is known of a parameter.
+/// An entry of the catalogue of parameters.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Known {
+pub struct ParameterInfo {
     /// The parameter. Those of an Ethernet interface are given here in slot 4, and are the same in any other.
     pub parameter: Parameter,
-    /// Its name here.
+    /// The name here.
     pub name: &'static str,
-    /// Its size.
+    /// The size.
     pub width: Width,
     /// It has a sign.
     pub signed: bool,
@@ -32,10 +32,10 @@ pub struct Known {
     pub assumed: bool,
 }
 
-impl Known {
-    const fn new(menu: u8, number: u8, name: &'static str, width: Width, signed: bool) -> Known {
+impl ParameterInfo {
+    const fn new(menu: u8, number: u8, name: &'static str, width: Width, signed: bool) -> ParameterInfo {
         let (min, max) = width.range(signed);
-        Known {
+        ParameterInfo {
             parameter: Parameter::new(menu, number),
             name,
             width,
@@ -49,24 +49,24 @@ impl Known {
         }
     }
 
-    const fn scaled(self, decimals: u32, unit: &'static str) -> Known {
-        Known { decimals, unit, ..self }
+    const fn scaled(self, decimals: u32, unit: &'static str) -> ParameterInfo {
+        ParameterInfo { decimals, unit, ..self }
     }
 
-    const fn within(self, min: i64, max: i64) -> Known {
-        Known { min, max, ..self }
+    const fn within(self, min: i64, max: i64) -> ParameterInfo {
+        ParameterInfo { min, max, ..self }
     }
 
-    const fn read_only(self) -> Known {
-        Known { access: Access::ReadOnly, ..self }
+    const fn read_only(self) -> ParameterInfo {
+        ParameterInfo { access: Access::ReadOnly, ..self }
     }
 
-    const fn assume(self) -> Known {
-        Known { assumed: true, ..self }
+    const fn assume(self) -> ParameterInfo {
+        ParameterInfo { assumed: true, ..self }
     }
 
-    const fn of_interface(self) -> Known {
-        Known { parameter: self.parameter.in_slot(SLOT_MAX), ..self }
+    const fn of_interface(self) -> ParameterInfo {
+        ParameterInfo { parameter: self.parameter.in_slot(SLOT_MAX), ..self }
     }
 
     /// The scaled value of a count.
@@ -87,45 +87,45 @@ const SPEED_MAX: i64 = 500_000;
 /// The highest value of a set-up parameter of menu 22: 59.999 (assumed).
 pub const SETUP_MAX: u16 = 59_999;
 
-const fn flag(menu: u8, number: u8, name: &'static str) -> Known {
+const fn flag(menu: u8, number: u8, name: &'static str) -> ParameterInfo {
     word(menu, number, name).within(0, 1)
 }
 
-const fn word(menu: u8, number: u8, name: &'static str) -> Known {
-    Known::new(menu, number, name, Width::Word, false)
+const fn word(menu: u8, number: u8, name: &'static str) -> ParameterInfo {
+    ParameterInfo::new(menu, number, name, Width::Word, false)
 }
 
-const fn signed_word(menu: u8, number: u8, name: &'static str) -> Known {
-    Known::new(menu, number, name, Width::Word, true)
+const fn signed_word(menu: u8, number: u8, name: &'static str) -> ParameterInfo {
+    ParameterInfo::new(menu, number, name, Width::Word, true)
 }
 
-const fn long(menu: u8, number: u8, name: &'static str) -> Known {
-    Known::new(menu, number, name, Width::Long, true)
+const fn long(menu: u8, number: u8, name: &'static str) -> ParameterInfo {
+    ParameterInfo::new(menu, number, name, Width::Long, true)
 }
 
 /// Menu 1 gives speeds in 32 bits and tenths (masters in the field), the other menus as well (assumed).
-const fn speed(menu: u8, number: u8, name: &'static str) -> Known {
+const fn speed(menu: u8, number: u8, name: &'static str) -> ParameterInfo {
     long(menu, number, name).scaled(1, "rpm").within(-SPEED_MAX, SPEED_MAX).assume()
 }
 
-const fn rate(menu: u8, number: u8, name: &'static str) -> Known {
+const fn rate(menu: u8, number: u8, name: &'static str) -> ParameterInfo {
     long(menu, number, name).scaled(3, "s/1000rpm").within(0, 3_200_000).assume()
 }
 
-const fn percent(menu: u8, number: u8, name: &'static str) -> Known {
+const fn percent(menu: u8, number: u8, name: &'static str) -> ParameterInfo {
     signed_word(menu, number, name).scaled(1, "%").assume()
 }
 
-const fn current(menu: u8, number: u8, name: &'static str) -> Known {
+const fn current(menu: u8, number: u8, name: &'static str) -> ParameterInfo {
     long(menu, number, name).scaled(3, "A").assume()
 }
 
-const fn gain(number: u8, name: &'static str, decimals: u32) -> Known {
+const fn gain(number: u8, name: &'static str, decimals: u32) -> ParameterInfo {
     long(3, number, name).scaled(decimals, "").within(0, 200_000).assume()
 }
 
-/// So many of the same kind with consecutive numbers, each with a name of its own.
-const fn run<const N: usize>(first: Known, names: [&'static str; N]) -> [Known; N] {
+/// Entries of the same kind with consecutive numbers, each with a name of its own.
+const fn run<const N: usize>(first: ParameterInfo, names: [&'static str; N]) -> [ParameterInfo; N] {
     let mut all = [first; N];
     let mut index = 0;
     while index < N {
@@ -140,7 +140,7 @@ macro_rules! names {
     ($stem:literal: $($number:literal)*) => { [$(concat!($stem, $number)),*] };
 }
 
-const MENU_1: &[Known] = &[
+const MENU_1: &[ParameterInfo] = &[
     speed(1, 1, "reference-selected").read_only(),
     speed(1, 2, "reference-pre-skip").read_only(),
     speed(1, 3, "reference-pre-ramp").read_only(),
@@ -157,16 +157,16 @@ const MENU_1: &[Known] = &[
     word(1, 15, "preset-selector").within(0, 9).assume(),
 ];
 
-const PRESETS: &[Known] = &run(speed(1, 21, ""), names!("preset-reference-": 1 2 3 4 5 6 7 8));
+const PRESETS: &[ParameterInfo] = &run(speed(1, 21, ""), names!("preset-reference-": 1 2 3 4 5 6 7 8));
 
-const MENU_1_END: &[Known] = &[
+const MENU_1_END: &[ParameterInfo] = &[
     speed(1, 36, "analogue-reference-1").read_only(),
     speed(1, 37, "analogue-reference-2").read_only(),
     flag(1, 41, "reference-select-1").assume(),
     flag(1, 42, "reference-select-2").assume(),
 ];
 
-const MENU_2: &[Known] = &[
+const MENU_2: &[ParameterInfo] = &[
     speed(2, 1, "post-ramp-reference").read_only(),
     flag(2, 2, "ramp-enable").assume(),
     flag(2, 3, "ramp-hold").assume(),
@@ -175,7 +175,7 @@ const MENU_2: &[Known] = &[
     rate(2, 21, "deceleration-rate"),
 ];
 
-const MENU_3: &[Known] = &[
+const MENU_3: &[ParameterInfo] = &[
     speed(3, 1, "final-speed-reference").read_only(),
     speed(3, 2, "speed-feedback").read_only(),
     speed(3, 3, "speed-error").read_only(),
@@ -191,7 +191,7 @@ const MENU_3: &[Known] = &[
     flag(3, 23, "hard-speed-reference-select").assume(),
 ];
 
-const MENU_4: &[Known] = &[
+const MENU_4: &[ParameterInfo] = &[
     current(4, 1, "current-magnitude").read_only(),
     current(4, 2, "torque-current").read_only(),
     percent(4, 3, "final-torque-reference").read_only(),
@@ -207,7 +207,7 @@ const MENU_4: &[Known] = &[
     percent(4, 20, "percentage-load").read_only(),
 ];
 
-const MENU_5: &[Known] = &[
+const MENU_5: &[ParameterInfo] = &[
     long(5, 1, "output-frequency").scaled(1, "Hz").read_only().assume(),
     word(5, 2, "output-voltage").scaled(0, "V").read_only().assume(),
     long(5, 3, "output-power").scaled(3, "kW").read_only().assume(),
@@ -221,7 +221,7 @@ const MENU_5: &[Known] = &[
     word(5, 11, "motor-pole-pairs").within(0, 240).assume(),
 ];
 
-const MENU_6: &[Known] = &[
+const MENU_6: &[ParameterInfo] = &[
     word(6, 1, "stop-mode").within(0, 3).assume(),
     word(6, 3, "mains-loss-mode").within(0, 3).assume(),
     word(6, 4, "start-stop-logic").within(0, 6).assume(),
@@ -238,7 +238,7 @@ const MENU_6: &[Known] = &[
     flag(6, 43, "control-word-enable"),
 ];
 
-const MENU_10: &[Known] = &[
+const MENU_10: &[ParameterInfo] = &[
     flag(10, 1, "drive-healthy").read_only(),
     flag(10, 2, "drive-active").read_only(),
     flag(10, 3, "zero-speed").read_only(),
@@ -256,9 +256,10 @@ const MENU_10: &[Known] = &[
     flag(10, 15, "mains-loss").read_only(),
 ];
 
-const TRIPS: &[Known] = &run(word(10, 20, "").read_only().assume(), names!("trip-": 0 1 2 3 4 5 6 7 8 9));
+const TRIPS: &[ParameterInfo] =
+    &run(word(10, 20, "").read_only().assume(), names!("trip-": 0 1 2 3 4 5 6 7 8 9));
 
-const MENU_10_END: &[Known] = &[
+const MENU_10_END: &[ParameterInfo] = &[
     flag(10, 32, "external-trip").assume(),
     flag(10, 33, "drive-reset"),
     word(10, 34, "auto-reset-attempts").within(0, 6).assume(),
@@ -267,28 +268,34 @@ const MENU_10_END: &[Known] = &[
     word(10, 40, "status-word").within(0, 32_767).read_only(),
 ];
 
-const SUB_TRIPS: &[Known] =
+const SUB_TRIPS: &[ParameterInfo] =
     &run(word(10, 70, "").read_only().assume(), names!("sub-trip-": 0 1 2 3 4 5 6 7 8 9));
 
-const MENU_11: &[Known] = &[
-    Known::new(11, 29, "firmware-version", Width::Long, false).within(0, 99_999_999).read_only(),
+const MENU_11: &[ParameterInfo] = &[
+    ParameterInfo::new(11, 29, "firmware-version", Width::Long, false).within(0, 99_999_999).read_only(),
     word(11, 31, "operating-mode").within(0, 4).assume(),
     word(11, 44, "security").within(0, 5).assume(),
-    Known::new(11, 52, "serial-number-low", Width::Long, false).within(0, 999_999_999).read_only().assume(),
-    Known::new(11, 53, "serial-number-high", Width::Long, false).within(0, 999_999_999).read_only().assume(),
+    ParameterInfo::new(11, 52, "serial-number-low", Width::Long, false)
+        .within(0, 999_999_999)
+        .read_only()
+        .assume(),
+    ParameterInfo::new(11, 53, "serial-number-high", Width::Long, false)
+        .within(0, 999_999_999)
+        .read_only()
+        .assume(),
 ];
 
-const MENU_20_WORDS: &[Known] = &run(
+const MENU_20_WORDS: &[ParameterInfo] = &run(
     signed_word(20, 1, "").assume(),
     names!("application-word-": 1 2 3 4 5 6 7 8 9 10 11 12 13 14 15 16 17 18 19 20),
 );
 
-const MENU_20_LONGS: &[Known] = &run(
+const MENU_20_LONGS: &[ParameterInfo] = &run(
     long(20, 21, ""),
     names!("application-long-": 21 22 23 24 25 26 27 28 29 30 31 32 33 34 35 36 37 38 39 40),
 );
 
-const MENU_22: &[Known] = &run(
+const MENU_22: &[ParameterInfo] = &run(
     word(22, 1, "").scaled(3, "").within(0, SETUP_MAX as i64).assume(),
     names!("menu-0-setup-": 1 2 3 4 5 6 7 8 9 10 11 12 13 14 15 16 17 18 19 20 21 22 23 24 25 26 27 28 29 30
         31 32 33 34 35 36 37 38 39 40 41 42 43 44 45 46 47 48 49 50 51 52 53 54 55 56 57 58 59 60 61 62 63 64 65
@@ -296,13 +303,13 @@ const MENU_22: &[Known] = &run(
 );
 
 /// Menu 15 of an Ethernet interface.
-const INTERFACE: &[Known] = &[
+const INTERFACE: &[ParameterInfo] = &[
     word(15, 5, "modbus-port").of_interface(),
     word(15, 9, "modbus-timeout").scaled(0, "ms").of_interface().assume(),
     word(15, 13, "modbus-addressing").within(0, 1).of_interface().assume(),
 ];
 
-const ALL: &[&[Known]] = &[
+const ALL: &[&[ParameterInfo]] = &[
     MENU_1,
     PRESETS,
     MENU_1_END,
@@ -323,22 +330,22 @@ const ALL: &[&[Known]] = &[
 ];
 
 /// All of them: those of the drive by menu and number, then those of an Ethernet interface.
-pub fn all() -> impl Iterator<Item = &'static Known> {
+pub fn all() -> impl Iterator<Item = &'static ParameterInfo> {
     ALL.iter().copied().flatten()
 }
 
 /// Those of one menu of a slot, 0 = the drive's own, by number.
-pub fn menu(slot: u8, menu: u8) -> impl Iterator<Item = &'static Known> {
+pub fn menu(slot: u8, menu: u8) -> impl Iterator<Item = &'static ParameterInfo> {
     let is_own = slot == 0;
     all().filter(move |known| (known.parameter.slot == 0) == is_own && known.parameter.menu == menu)
 }
 
-/// What is known of a parameter. That of an Ethernet interface is the same in every slot.
-pub fn find(parameter: Parameter) -> Option<&'static Known> {
+/// The catalogue's entry of a parameter. That of an Ethernet interface is the same in every slot.
+pub fn find(parameter: Parameter) -> Option<&'static ParameterInfo> {
     menu(parameter.slot, parameter.menu).find(|known| known.parameter.number == parameter.number)
 }
 
 /// The one with this name: of the drive itself, or of an Ethernet interface.
-pub fn named(name: &str, is_interface: bool) -> Option<&'static Known> {
+pub fn named(name: &str, is_interface: bool) -> Option<&'static ParameterInfo> {
     all().find(|known| known.name == name && (known.parameter.slot != 0) == is_interface)
 }

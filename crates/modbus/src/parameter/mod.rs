@@ -23,7 +23,7 @@ use thiserror::Error;
 
 use fieldbeat_core::axis::acyclic::{Integer, decimal};
 
-pub use catalogue::{Access, Known};
+pub use catalogue::{Access, ParameterInfo};
 
 /// The unit identifier of the drive itself: masters use this one; 0 is the drive as well (SI-Ethernet guide).
 pub const DRIVE_UNIT: u8 = 255;
@@ -141,7 +141,7 @@ impl Parameter {
     pub const PRESET_SELECTOR: Parameter = Parameter::new(1, 15);
     /// The speed of the motor.
     pub const SPEED: Parameter = Parameter::new(3, 2);
-    /// Its load.
+    /// The load.
     pub const LOAD: Parameter = Parameter::new(4, 20);
     /// The status word.
     pub const STATUS_WORD: Parameter = Parameter::new(10, 40);
@@ -150,7 +150,7 @@ impl Parameter {
     /// The firmware's version.
     pub const FIRMWARE: Parameter = Parameter::new(11, 29);
 
-    /// Its serial number: the lower nine digits, and those above them (assumed).
+    /// The serial number: the lower nine digits, and those above them (assumed).
     pub const SERIAL: [Parameter; 2] = [Parameter::new(11, 52), Parameter::new(11, 53)];
 
     /// A parameter of the drive itself.
@@ -163,7 +163,7 @@ impl Parameter {
         Parameter { slot, ..self }
     }
 
-    /// Its address for access of this width; `None`: this addressing has none for it. Slots do not matter.
+    /// The address for access of this width; `None`: this addressing has none for it. Slots do not matter.
     pub const fn address(self, addressing: Addressing, width: Width) -> Option<u16> {
         if self.menu > addressing.menu_max() || self.number > addressing.number_max() {
             return None;
@@ -197,7 +197,7 @@ impl Parameter {
         Some((Parameter::new(menu as u8, number as u8), width))
     }
 
-    /// Its unit identifier, in a drive whose own is `drive`.
+    /// The unit identifier, in a drive whose own is `drive`.
     pub const fn unit(self, drive: u8) -> u8 {
         if self.slot == 0 { drive } else { self.slot }
     }
@@ -226,8 +226,8 @@ impl Parameter {
         Some(Parameter::new(menu as u8, number as u8))
     }
 
-    /// What is known of it.
-    pub fn known(self) -> Option<&'static Known> {
+    /// The catalogue's entry.
+    pub fn known(self) -> Option<&'static ParameterInfo> {
         catalogue::find(self)
     }
 }

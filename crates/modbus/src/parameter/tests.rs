@@ -132,8 +132,8 @@ fn widths_cut_and_extend() {
 
 #[test]
 fn the_catalogue_is_in_order_and_every_name_is_its_own() {
-    let all: Vec<&Known> = catalogue::all().collect();
-    let place = |known: &Known| (known.parameter.slot, known.parameter.menu, known.parameter.number);
+    let all: Vec<&ParameterInfo> = catalogue::all().collect();
+    let place = |known: &ParameterInfo| (known.parameter.slot, known.parameter.menu, known.parameter.number);
     assert!(all.windows(2).all(|pair| place(pair[0]) < place(pair[1])));
     for known in all {
         assert_eq!(known.parameter.known(), Some(known));
@@ -145,7 +145,7 @@ fn the_catalogue_is_in_order_and_every_name_is_its_own() {
 }
 
 #[test]
-fn what_the_master_and_the_drive_live_by_is_known() {
+fn parameters_that_master_and_drive_depend_on_are_listed() {
     for (parameter, width, decimals, access) in [
         (Parameter::CONTROL_WORD, Width::Word, 0, Access::ReadWrite),
         (Parameter::CONTROL_WORD_ENABLE, Width::Word, 0, Access::ReadWrite),

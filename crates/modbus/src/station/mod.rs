@@ -54,7 +54,7 @@ const MOST_REPEATED: u8 = 3;
 #[derive(Debug)]
 #[repr(C, align(64))]
 pub struct Station {
-    /// Its ids go on with the next connection.
+    /// The ids go on with the next connection.
     identity: Identity,
     /// The slot of the grid that the prepared request is for.
     grid: Time,
@@ -106,8 +106,8 @@ pub struct Station {
     control_taken: Option<ControlWord>,
 }
 
-/// What begins anew with each connection: the drive's values are not known until they are read back, nor its state
-/// until it reports again.
+/// The state that begins anew with each connection: the drive's values are not known until they are read back, nor its
+/// state until it reports again.
 #[derive(Debug, Default)]
 #[repr(C)]
 struct Connection {
@@ -131,7 +131,7 @@ struct Connection {
     /// Requests in a row that the drive was too busy for; writes, and reads, that were refused in a row.
     busy: u8,
     refused: (u8, u8),
-    /// So many of the settings are missing, and whether they can be written.
+    /// The number of missing settings, and whether they can be written.
     unset: u8,
     settable: bool,
     /// The trip number in the image is that of the present trip; without one, it was read since the last healthy
@@ -140,10 +140,10 @@ struct Connection {
     /// The prepared request is the only one of the cycle that there is.
     is_only: bool,
     /// The open request, when it was sent, and the values that it writes; and the prepared one.
-    requested: What,
+    requested: RequestKind,
     requested_at: Time,
     written: Outputs,
-    prepared: What,
+    prepared: RequestKind,
     inputs: Inputs,
     /// The revision of the profile that the last report has proved. Another one proves the same, if the drive reports
     /// the same status, and nothing was refused.
@@ -203,7 +203,7 @@ const ROOM: usize = 2 * ADU_MAX;
 
 /// The purpose of a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum What {
+enum RequestKind {
     /// An acyclic call.
     Call,
     /// A setting, and its value: what is to be set, or 0 to disarm a time-out.
@@ -212,15 +212,15 @@ enum What {
     Cyclic(Cyclic),
 }
 
-impl Default for What {
-    fn default() -> What {
-        What::Cyclic(Cyclic::default())
+impl Default for RequestKind {
+    fn default() -> RequestKind {
+        RequestKind::Cyclic(Cyclic::default())
     }
 }
 
 /// Why a connection has to be given up.
 pub type Why = &'static str;
-/// What was counted says more than these.
+/// The reasons for which the counters say more.
 pub(super) const SILENT: Why = "a request was not answered within twice its time";
 pub(super) const BROKE: Why = "the connection broke";
 
@@ -359,7 +359,8 @@ impl Station {
 
     /// The open request writes and reads: FC23.
     fn reads_and_writes(&self) -> bool {
-        self.identity.is_open() && matches!(&self.conn.requested, What::Cyclic(cyclic) if cyclic.is_both())
+        self.identity.is_open()
+            && matches!(&self.conn.requested, RequestKind::Cyclic(cyclic) if cyclic.is_both())
     }
 
     /// The connection has ended at the other end, or broken: in words.

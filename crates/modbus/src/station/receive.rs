@@ -3,7 +3,7 @@
 //! A reply that is exactly the expected one is recognised at once. All others take the long way.
 
 use super::turns::{Cyclic, Read, Write};
-use super::{End, MOST_REPEATED, ROOM, Station, What, Why};
+use super::{End, MOST_REPEATED, ROOM, RequestKind, Station, Why};
 use crate::counters::Own;
 use crate::echo::Echo;
 use crate::identity::Whose;
@@ -22,7 +22,7 @@ impl Station {
         self.inbox.get_mut(usize::from(self.conn.filled)..).unwrap_or_default()
     }
 
-    /// So many bytes have arrived in it. An error: the connection has to be given up.
+    /// Takes in `count` bytes that have arrived. An error: the connection has to be given up.
     pub fn take(&mut self, at: Time, count: usize, slot: &mut Slot) -> Result<(), Why> {
         let filled = (usize::from(self.conn.filled) + count).min(ROOM);
         let unit = self.conn.requested_unit;
@@ -128,12 +128,12 @@ impl Station {
             Own::Exceptions.count(&mut slot.counters);
         }
         match self.conn.requested {
-            What::Cyclic(cyclic) if cyclic.is_both() => {
+            RequestKind::Cyclic(cyclic) if cyclic.is_both() => {
                 if matches!(response, Response::ReadWritten { .. }) {
                     self.functions.answered(cyclic.registers());
                 }
             }
-            What::Call => {
+            RequestKind::Call => {
                 self.functions.other_answered();
                 self.calls.answer(response);
             }
@@ -143,9 +143,9 @@ impl Station {
             return;
         }
         match self.conn.requested {
-            What::Call => {}
-            What::Set { index, .. } => self.set_answered(at, usize::from(index), response),
-            What::Cyclic(cyclic) => self.cyclic(at, cyclic, response, slot),
+            RequestKind::Call => {}
+            RequestKind::Set { index, .. } => self.set_answered(at, usize::from(index), response),
+            RequestKind::Cyclic(cyclic) => self.cyclic(at, cyclic, response, slot),
         }
     }
 
@@ -183,7 +183,7 @@ impl Station {
         self.tell_set_up();
     }
 
-    /// What does not fit the open request in a response that names it.
+    /// The part of a response that does not fit the open request that it names.
     fn misfits(&self, header: Header, response: &Response<'_>) -> Option<Own> {
         let unit = self.conn.requested_unit;
         // A drive may answer 255 to 0 (field reports).
@@ -191,12 +191,12 @@ impl Station {
             return Some(Own::WrongUnit);
         }
         let cyclic = match self.conn.requested {
-            What::Call => return (!self.calls.fits(response)).then_some(Own::WrongFunction),
-            What::Set { .. } => {
+            RequestKind::Call => return (!self.calls.fits(response)).then_some(Own::WrongFunction),
+            RequestKind::Set { .. } => {
                 let fits = matches!(response, Response::Exception { .. } | Response::Written { .. });
                 return (!fits).then_some(Own::WrongFunction);
             }
-            What::Cyclic(cyclic) => cyclic,
+            RequestKind::Cyclic(cyclic) => cyclic,
         };
         let (data, read) = match (response, cyclic.write, cyclic.read) {
             (Response::Exception { .. }, ..) => return None,
@@ -298,11 +298,11 @@ impl Station {
 /// that reads has such a reply.
 #[inline]
 fn expected<'a>(
-    requested: &What,
+    requested: &RequestKind,
     open: Option<Header>,
     bytes: &'a [u8],
 ) -> Option<(Cyclic, Read, Registers<'a>)> {
-    let What::Cyclic(cyclic) = *requested else { return None };
+    let RequestKind::Cyclic(cyclic) = *requested else { return None };
     let (header, read) = (open?, cyclic.read?);
     let function = if cyclic.write.is_some() { function::READ_WRITE } else { function::READ };
     Some((cyclic, read, read.values(header, function, bytes)?))

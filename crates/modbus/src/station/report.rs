@@ -190,7 +190,7 @@ impl Station {
         report.fault = if status.healthy() { 0 } else { u32::from(self.conn.inputs.trip) };
     }
 
-    /// What each report has anew: the speed, and the shown values.
+    /// Takes the values that are new in each report: the speed, and the shown values.
     #[inline]
     fn turns(&mut self, at: Time, slot: &mut Slot) {
         let velocity = f64::from(self.conn.image.of(Role::Speed).unwrap_or(0)) * self.velocity_per_count;

@@ -1,7 +1,7 @@
 //! The request of the next send: its choice, its bytes, and what changes once they are sent.
 
 use super::turns::{Cyclic, Read, Write};
-use super::{End, Station, What};
+use super::{End, RequestKind, Station};
 use crate::counters::Own;
 use crate::mapping::{Places, Role};
 use crate::plan::REFERENCES_IN_A_ROW;
@@ -53,11 +53,11 @@ impl Station {
         let goes_first = || changes || is_written && self.profile.is_new();
         self.conn.prepared = match setting {
             Some(setting) => setting,
-            None if calls && !goes_first() => What::Call,
-            None => What::Cyclic(self.choose(is_written, changes, stands)),
+            None if calls && !goes_first() => RequestKind::Call,
+            None => RequestKind::Cyclic(self.choose(is_written, changes, stands)),
         };
         self.conn.is_only = false;
-        if let What::Cyclic(cyclic) = &self.conn.prepared {
+        if let RequestKind::Cyclic(cyclic) = &self.conn.prepared {
             self.conn.is_only = self.turns.is_only(cyclic);
             self.conn.length = cyclic.emit(header, self.profile.outputs(), &mut self.room).into();
             if cyclic.write.is_some() {
@@ -91,14 +91,14 @@ impl Station {
 
     /// The setting to write now, if there is one.
     #[inline(never)]
-    fn next_setting(&self) -> Option<What> {
+    fn next_setting(&self) -> Option<RequestKind> {
         if self.end == End::Disarming {
-            return self.time_out().map(|index| What::Set { index: index as u8, value: 0 });
+            return self.time_out().map(|index| RequestKind::Set { index: index as u8, value: 0 });
         }
         let index = self.settings.len().checked_sub(self.conn.unset.into())?;
         let setting = self.settings.get(index);
         let setting = setting.filter(|_| self.profile.wants_set_up(&self.conn.inputs))?;
-        Some(What::Set { index: index as u8, value: setting.value })
+        Some(RequestKind::Set { index: index as u8, value: setting.value })
     }
 
     /// The blocks of the next cyclic request; `changes`: the control word is another one than the drive has.
@@ -190,11 +190,11 @@ impl Station {
     fn emit_other(&mut self, header: Header) -> usize {
         let mut data = RegistersBuffer::new();
         let request = match self.conn.prepared {
-            What::Set { index, value } => self
+            RequestKind::Set { index, value } => self
                 .settings
                 .get(usize::from(index))
                 .map(|setting| (setting.parameter.unit(header.unit), setting.write(value, &mut data))),
-            What::Call | What::Cyclic(_) => self.calls.request(header.unit, &mut data),
+            RequestKind::Call | RequestKind::Cyclic(_) => self.calls.request(header.unit, &mut data),
         };
         let Some((unit, request)) = request else { return 0 };
         request.emit(Header { unit, ..header }, &mut self.room)
@@ -205,7 +205,7 @@ impl Station {
         self.room.get(HEADER..self.conn.open.into()).unwrap_or_default()
     }
 
-    /// What came since the last request was built has changed what it was built from.
+    /// Says whether news since the last request was built have changed what it was built from.
     #[inline]
     pub fn is_void(&self) -> bool {
         self.profile.is_void()
@@ -246,11 +246,11 @@ impl Station {
         (conn.requested, conn.requested_at, conn.written) = (conn.prepared, at, self.profile.outputs());
         self.since_call = self.since_call.saturating_add(1);
         match conn.prepared {
-            What::Cyclic(cyclic) => {
+            RequestKind::Cyclic(cyclic) => {
                 conn.requested_unit = conn.unit;
                 self.blocks_sent(cyclic, slot);
             }
-            What::Call | What::Set { .. } => self.other_sent(),
+            RequestKind::Call | RequestKind::Set { .. } => self.other_sent(),
         }
         let window_ns = cycle.deadline.since(cycle.grid);
         if self.window_ns != window_ns {
@@ -273,7 +273,7 @@ impl Station {
     #[cold]
     fn other_sent(&mut self) {
         self.conn.requested_unit = self.room[HEADER - 1];
-        if matches!(self.conn.requested, What::Call) {
+        if matches!(self.conn.requested, RequestKind::Call) {
             self.since_call = 0;
             self.calls.sent();
         }

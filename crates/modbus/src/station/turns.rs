@@ -43,9 +43,9 @@ pub(super) struct Cyclic {
 #[repr(C)] // What is used in each exchange comes last.
 pub(super) struct Turns {
     mapping: Mapping,
-    /// What is read, turn by turn.
+    /// The reads, turn by turn.
     pub reads: Box<[Read]>,
-    /// What is written; twice the same if all is in one block.
+    /// The writes; twice the same if all is in one block.
     pub writes: [Option<Write>; 2],
 }
 
@@ -85,7 +85,7 @@ impl Write {
         byte(self.0, 6) != 0
     }
 
-    /// Its number of registers.
+    /// The number of registers.
     #[inline]
     pub(super) fn registers(self) -> u16 {
         byte(self.0, 3).into()
@@ -127,13 +127,13 @@ impl Read {
         NonZeroU64::new(u64::from_le_bytes(word)).map(Read)
     }
 
-    /// Its roles that have an index in an [`Image`].
+    /// The roles that have an index in an [`Image`].
     #[inline]
     pub(super) fn places(self) -> Places {
         Places((self.0.get() >> 32) as u16)
     }
 
-    /// Its number of registers.
+    /// The number of registers.
     #[inline]
     pub(super) fn registers(self) -> u16 {
         byte(self.0, 3).into()
@@ -163,13 +163,13 @@ impl Cyclic {
         self.write.is_some() && self.read.is_some()
     }
 
-    /// Its registers, of both blocks together.
+    /// The registers, of both blocks together.
     #[inline]
     pub(super) fn registers(&self) -> u16 {
         self.write.map_or(0, Write::registers) + self.read.map_or(0, Read::registers)
     }
 
-    /// What it writes: the control word, the reference.
+    /// The roles that it writes: the control word, the reference.
     #[inline]
     pub(super) fn writes(&self) -> (bool, bool) {
         self.write.map_or((false, false), |write| (write.has_control(), write.has_reference()))

@@ -14,7 +14,7 @@ impl<'a> Registers<'a> {
         if bytes.len().is_multiple_of(2) { Some(Registers(bytes)) } else { None }
     }
 
-    /// So many, all 0, at most [`REGISTERS_MAX`].
+    /// `count` registers, all 0, at most [`REGISTERS_MAX`].
     pub fn zeros(count: u16) -> Registers<'static> {
         const ZEROS: [u8; RegistersBuffer::BYTES] = [0; RegistersBuffer::BYTES];
         Registers(ZEROS.get(..2 * usize::from(count)).unwrap_or_default())
@@ -135,7 +135,7 @@ impl RegistersBuffer {
         true
     }
 
-    /// Its content.
+    /// The content.
     #[inline]
     pub fn registers(&self) -> Registers<'_> {
         Registers(self.bytes.get(..self.length).unwrap_or_default())

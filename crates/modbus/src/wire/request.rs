@@ -42,7 +42,7 @@ pub enum Request<'a> {
 }
 
 impl<'a> Request<'a> {
-    /// Its function.
+    /// The function.
     #[inline]
     pub const fn function(&self) -> u8 {
         match self {
@@ -132,7 +132,7 @@ impl<'a> Request<'a> {
 pub struct RequestError {
     /// The header of the message.
     pub header: Header,
-    /// Its function.
+    /// The function.
     pub function: u8,
     /// The fault.
     pub fault: RequestFault,

@@ -120,7 +120,7 @@ pub enum ResponseError {
     /// It is not a message that `frame` finds.
     #[error("{bytes} bytes are not one message with a header")]
     Frame {
-        /// Its length, bytes.
+        /// The length, bytes.
         bytes: usize,
     },
     /// A function that this master never requests.
@@ -139,7 +139,7 @@ pub enum ResponseError {
     Length {
         /// The header of the message.
         header: Header,
-        /// Its function.
+        /// The function.
         function: u8,
     },
 }
@@ -173,7 +173,7 @@ impl ExceptionCode {
         matches!(self, Self::ACKNOWLEDGE | Self::BUSY)
     }
 
-    /// Its meaning, if known.
+    /// The meaning, if known.
     pub const fn name(self) -> Option<&'static str> {
         Some(match self.0 {
             0x01 => "function not supported",

@@ -18,7 +18,7 @@ const READ_WRITE_REQUEST: [u8; 29] = [
     0x00, 0x2A, 0x00, 0x00, 0x00, 0x17, 0xFF, 0x17, 0x47, 0xE7, 0x00, 0x06, 0x47, 0xE4, 0x00, 0x06, 0x0C,
     0x00, 0x00, 0x30, 0x39, 0x00, 0x00, 0x30, 0x39, 0x00, 0x00, 0x30, 0x39,
 ];
-/// Its response, with 1, -2 and 15000 as what is read.
+/// The response, with 1, -2 and 15000 as what is read.
 const READ_WRITE_RESPONSE: [u8; 21] = [
     0x00, 0x2A, 0x00, 0x00, 0x00, 0x0F, 0xFF, 0x17, 0x0C, 0x00, 0x00, 0x00, 0x01, 0xFF, 0xFF, 0xFF, 0xFE,
     0x00, 0x00, 0x3A, 0x98,
@@ -34,7 +34,7 @@ const WRITE_ONE: [u8; 12] = [0, 1, 0, 0, 0, 6, 0xFF, 6, 0x00, 0x01, 0x00, 0x03];
 /// SI-Ethernet guide: an exception.
 const EXCEPTION: [u8; 9] = [0x00, 0x2A, 0x00, 0x00, 0x00, 0x03, 0xFF, 0x90, 0x02];
 
-/// What pymodbus 3.16.1 answers to a PDU that it cannot read.
+/// The answer of pymodbus 3.16.1 to a PDU that it cannot read.
 const PYMODBUS_EXCEPTION: [u8; 9] = [0x00, 0x2A, 0x00, 0x00, 0x00, 0x03, 0xFF, 0x80, 0x01];
 
 fn longs(values: &[i32]) -> RegistersBuffer {
@@ -51,7 +51,7 @@ fn answered(response: &Response<'_>, header: Header) -> Vec<u8> {
     written(response.size(), |out| response.emit(header, out))
 }
 
-/// What `emit` wrote.
+/// The bytes that `emit` wrote.
 fn written(size: usize, emit: impl Fn(&mut [u8]) -> usize) -> Vec<u8> {
     let mut bytes = [0xEE; ADU_MAX];
     assert_eq!(emit(&mut bytes), size);
@@ -109,7 +109,7 @@ fn golden_messages() {
 }
 
 #[test]
-fn a_stream_that_is_no_modbus_is_told_as_soon_as_its_field_is_there() {
+fn a_stream_of_another_protocol_is_reported_as_soon_as_its_field_is_there() {
     let http = b"HTTP/1.1 400";
     assert_eq!(frame(&http[..3]), Ok(None));
     assert_eq!(frame(&http[..4]), Err(FrameError::Protocol(0x5450)));
@@ -175,7 +175,7 @@ fn a_request_that_lies_of_its_length_or_function_can_still_be_answered() {
 }
 
 #[test]
-fn a_response_that_lies_of_its_length_or_function_is_told_apart() {
+fn a_response_with_a_wrong_length_or_function_is_rejected() {
     let data = longs(&[1, 2]);
     for response in responses(data.registers()) {
         let whole = answered(&response, HEADER_42);
