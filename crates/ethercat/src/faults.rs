@@ -39,7 +39,7 @@ impl Clearing {
 /// A fault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Fault {
-    /// Its number: F28 is 28.
+    /// The number: F28 is 28.
     pub number: u8,
     /// The error code of its emergency.
     pub code: u16,
@@ -47,9 +47,9 @@ pub struct Fault {
     pub register: u8,
     /// How it can be cleared: the category of the CAN manual.
     pub clearing: Clearing,
-    /// Its meaning.
+    /// The meaning.
     pub name: &'static str,
-    /// Its code is not from a document.
+    /// The code is not from a document.
     pub assumed: bool,
 }
 

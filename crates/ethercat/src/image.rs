@@ -45,11 +45,11 @@ const SPLIT_OVERHEAD: usize = 12;
 pub struct Offsets {
     /// The index of the frame.
     pub frame: usize,
-    /// Its outputs.
+    /// The outputs.
     pub outputs: Range<u16>,
-    /// Its AL status.
+    /// The AL status.
     pub al: usize,
-    /// Its inputs.
+    /// The inputs.
     pub inputs: Range<usize>,
     /// The same in the logical address space.
     pub logical: Logical,
@@ -444,7 +444,7 @@ const WENT_ROUND: u64 = (CIRCULATED as u64) << 48;
 /// The two lower bytes of the address there, in which a position is counted up.
 const POSITION: u64 = 0xFFFF << 16;
 
-/// What differs in the first eight bytes of a datagram: all that no slave changes has to be the same.
+/// The difference in the first eight bytes of a datagram: all that no slave changes has to be the same.
 #[inline]
 fn change(sent: &[u8], received: &[u8], at: usize) -> u64 {
     let header = |frame: &[u8]| Some(u64::from_le_bytes(*frame.get(at..at + 8)?.first_chunk()?));

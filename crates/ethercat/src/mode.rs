@@ -37,7 +37,7 @@ impl Mode {
         matches!(self.0, 1 | 3 | 4 | 6 | 7 | 8)
     }
 
-    /// Its name.
+    /// The name.
     pub const fn name(self) -> Option<&'static str> {
         Some(match self {
             Mode::PROFILE_POSITION => "profile position",

@@ -70,7 +70,7 @@ impl NativeOutput {
         Some(output)
     }
 
-    /// Its bytes.
+    /// The bytes.
     pub fn bytes(&self) -> &[u8] {
         &self.bytes.0[..usize::from(self.length).min(PDO_MAX)]
     }
@@ -142,14 +142,14 @@ pub struct Terminals {
 pub struct TerminalInputs {
     /// When it was taken in.
     pub at: Time,
-    /// Its inputs are current, and outputs reach it: it is in OP.
+    /// The inputs are current, and outputs reach it: it is in OP.
     pub operational: bool,
     bytes: [u8; TERMINAL_MAX],
     length: usize,
 }
 
 impl TerminalInputs {
-    /// Its inputs, as they came; all 0 before the first ones.
+    /// The inputs, as they came; all 0 before the first ones.
     pub fn bytes(&self) -> &[u8] {
         &self.bytes[..self.length]
     }
@@ -292,7 +292,7 @@ impl TerminalPort {
         (self.newest, self.taken) = ([0; TERMINAL_MAX], false);
     }
 
-    /// Its inputs came in.
+    /// The inputs came in.
     pub fn publish(&mut self, at: Time, operational: bool, inputs: &[u8]) {
         self.port.runs(operational);
         self.port.publish(at, 0, inputs);
@@ -309,7 +309,7 @@ mod tests {
     }
 
     #[test]
-    fn what_the_drive_reported_is_found_by_object() {
+    fn reported_values_are_found_by_object() {
         let (native, mut port) = native(&layout(0x1702), &layout(0x1B03));
         assert_eq!(native.inputs().get(Object::new(0x6041, 0)), None, "nothing yet");
         // The inputs of the sheet's example.

@@ -34,7 +34,7 @@ pub use fieldbeat_core::axis::acyclic::long::{LOAD, PART, READ, SIZE, STORE, Ser
 use fieldbeat_core::named;
 
 pub use super::wire::sdo::Object;
-pub use catalogue::{Access, Drives, Known};
+pub use catalogue::{Access, Drives, ObjectInfo};
 pub use notation::Objects;
 pub use notation::string;
 
@@ -62,7 +62,8 @@ pub const EXPEDITED: u32 = 0x0A;
 /// Status of a call: the answer to what it writes was lost, and the slave does not send it again: it may have been
 /// written.
 pub const UNCERTAIN: u32 = 0x0B;
-/// Status of a call: the slave could not use the mailbox message; its [error](super::wire::mailbox::MailboxError) is added.
+/// Status of a call: the slave could not use the mailbox message; its [error](super::wire::mailbox::MailboxError) is
+/// added.
 pub const MAILBOX: u32 = 0x1_0000;
 
 /// The meaning of a status of the master's own.
@@ -168,8 +169,8 @@ impl Object {
         Some(Object { index, sub })
     }
 
-    /// What is known of it.
-    pub fn known(self) -> Option<&'static Known> {
+    /// The catalogue's entry.
+    pub fn known(self) -> Option<&'static ObjectInfo> {
         catalogue::find(self)
     }
 }
@@ -184,7 +185,7 @@ fn subindex(text: &str) -> Option<u8> {
 pub struct Target {
     /// The object.
     pub object: Object,
-    /// Its type; `None`: as it comes, to read only.
+    /// The type; `None`: as it comes, to read only.
     pub kind: Option<Type>,
     /// All its subindices together, to read only. It has no type.
     pub complete: bool,
@@ -307,7 +308,7 @@ mod tests {
     }
 
     #[test]
-    fn a_refusal_is_told_by_its_name() {
+    fn a_refusal_is_reported_by_its_name() {
         assert_eq!(Objects.reason(0x0602_0000), "0x06020000 no such object");
         assert_eq!(Objects.reason(FULL), "the slave does not empty its mailbox");
         let refused = "the slave cannot use the mailbox message: 0x0002 protocol not supported";

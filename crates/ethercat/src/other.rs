@@ -18,7 +18,7 @@ use super::wire::frame::{FRAME_MAX, Mac, datagrams, source};
 use fieldbeat_core::net::{Frames, local};
 use fieldbeat_core::time::{MS, S, Time};
 
-/// So many frames of one sender are another master's ...
+/// The number of frames of one sender that are another master's ...
 const FRAMES: u8 = 3;
 /// ... if each comes so long after the one before, ns: not in a burst ...
 const APART_NS: u64 = 5 * MS;
@@ -34,7 +34,7 @@ const LISTEN_NS: u64 = 100 * MS;
 #[derive(Clone, Copy, Debug, Default)]
 pub struct OtherMaster {
     sender: Option<Sender>,
-    /// Its frames so far, and when the last one of them came.
+    /// The frames so far, and when the last one of them came.
     frames: u8,
     last: Time,
     /// When it was last proved to be there.
@@ -203,7 +203,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn it_is_there_until_it_has_been_silent_for_a_second() {
+    fn another_master_is_present_until_it_was_silent_for_a_second() {
         let (mut other, good) = (OtherMaster::default(), frame([0x10; 6], None));
         let begin = Time(S);
         assert!(!other.is_there(begin));

@@ -133,7 +133,7 @@ mod tests {
     }
 
     #[test]
-    fn what_limits_and_what_is_not_known_keeps_the_drives_own_value() {
+    fn limits_and_unknown_objects_keep_the_value_of_the_drive() {
         let limits = ["0x6072", "0x60E0:0.u16", "0x60E1:0.u16", "0x607F:0.u32", "0x6080:0.u32", "0x6065"];
         let rest = ["0x607D:1.i32", "0x6081", "0x60C5:0.u32", "0x6099:1", "0x2A00:3.u8"];
         let outputs = [&["0x6040", "0x607A"][..], &limits, &rest].concat();

@@ -26,14 +26,14 @@ use fieldbeat_core::bus::variant::Variant;
 /// The slaves of one segment, behind one interface.
 #[derive(Clone, Debug)]
 pub struct EthercatPlan {
-    /// Its name in messages.
+    /// The name in messages.
     pub name: String,
     /// The network interface, like `eth1`; `local:NAME` is a segment of simulated drives on this host, without an
     /// interface.
     pub interface: String,
     /// The drives, in slot order.
     pub drives: Vec<KollmorgenDrive>,
-    /// What takes part besides: couplers and terminals.
+    /// The other slaves: couplers and terminals.
     pub devices: Vec<Device>,
     /// All slaves know LRW: outputs and inputs go in one datagram. Else in two.
     pub lrw: bool,
@@ -44,15 +44,15 @@ pub struct EthercatPlan {
 /// One drive.
 #[derive(Clone, Debug)]
 pub struct KollmorgenDrive {
-    /// What every axis has. Counts are increments of the motor.
+    /// The settings of every axis. Counts are increments of the motor.
     pub axis: AxisPlan,
-    /// What the segment needs to know of it.
+    /// The settings for the segment.
     pub slave: SlavePlan,
     /// Which objects it has.
     pub family: Family,
-    /// What the master writes to it in each frame.
+    /// The outputs that the master writes to it in each frame.
     pub outputs: Layout,
-    /// What the master reads.
+    /// The inputs that the master reads.
     pub inputs: Layout,
     /// Where the PDOs come from.
     pub mapping: Mapping,
@@ -63,13 +63,13 @@ pub struct KollmorgenDrive {
     pub native: bool,
     /// How its numbers are scaled.
     pub scaling: Scaling,
-    /// What it says of its increments a turn (608Fh) is held against [`Scaling::prbase`], if it says anything.
+    /// Compares its increments a turn (608Fh) with [`Scaling::prbase`], if it reports any.
     pub check_prbase: bool,
     /// Velocities and torques are taken although the master arms no watchdog.
     pub accept_no_watchdog: bool,
     /// The mode of operation of `Home`: method 6098h, written before. `None`: as the drive is set.
     pub home_method: Option<i8>,
-    /// Its encoder is absolute: its position is that of the machine without a homing. Else it has its reference if
+    /// The encoder is absolute: its position is that of the machine without a homing. Else it has its reference if
     /// 1002h says so; without that object, if this master saw its homing attained.
     pub absolute: bool,
     /// Objects that it shows besides, read by its mailbox in turns: plain counts, of the unit that is known of each.
@@ -102,7 +102,7 @@ pub struct Scaling {
     pub rated_current: Option<f64>,
 }
 
-/// What the setpoint in the process data is.
+/// The kind of the setpoint in the process data.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Setpoint {
     /// A position: 60C1h:1 or 607Ah.
@@ -116,9 +116,9 @@ pub enum Setpoint {
 /// A slave that is no drive: its process data are the application's.
 #[derive(Clone, Debug)]
 pub struct Device {
-    /// Its name, unique in the machine.
+    /// The name, unique in the machine.
     pub name: String,
-    /// What the segment needs to know of it.
+    /// The settings for the segment.
     pub slave: SlavePlan,
 }
 
@@ -161,7 +161,7 @@ impl EthercatPlan {
         }
     }
 
-    /// Its drives are simulated ones on this computer, without an interface.
+    /// The drives are simulated ones on this computer, without an interface.
     pub fn is_local(&self) -> bool {
         self.interface.starts_with(LOCAL)
     }
@@ -196,7 +196,7 @@ impl EthercatPlan {
     }
 }
 
-/// Whose slave it is.
+/// The owner of a slave.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Owner {
     /// The drive with this index.
@@ -241,7 +241,7 @@ impl Setpoint {
         }
     }
 
-    /// Its object, and the type that it has.
+    /// The object, and the type that it has.
     pub const fn shape(self) -> (Object, Type) {
         match self {
             Setpoint::Position(object) | Setpoint::Velocity(object) => (object, Type::I32),
@@ -338,13 +338,13 @@ impl KollmorgenDrive {
         self.outputs.entries.iter().filter_map(|entry| Setpoint::new(entry.object))
     }
 
-    /// What its setpoint is: the target that its mode follows.
+    /// The setpoint: the target that its mode follows.
     pub fn setpoint(&self) -> Option<Setpoint> {
         let mode = self.mode().filter(|_| !self.native)?;
         self.targets().find(|target| target.is_followed(mode))
     }
 
-    /// What it shows besides, for people.
+    /// The additional values that it shows, for people.
     pub(super) fn shown(&self) -> [Option<MonitorChannel>; MONITOR_CHANNELS] {
         self.show.map(|shown| {
             let object = shown?.object;

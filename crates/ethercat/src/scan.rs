@@ -43,13 +43,13 @@ pub struct Options {
 /// A slave as it was found.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Slave {
-    /// Its position on the segment: 0 is next to the master.
+    /// The position on the segment: 0 is next to the master.
     pub place: u16,
-    /// Its station address; 0: none was given.
+    /// The station address; 0: none was given.
     pub station: u16,
-    /// Its alias; 0: none.
+    /// The alias; 0: none.
     pub alias: u16,
-    /// Its state, and whether it reports an error.
+    /// The state, and whether it reports an error.
     pub status: AlStatus,
     /// The AL status code of the error.
     pub code: AlCode,
@@ -57,15 +57,15 @@ pub struct Slave {
     pub emulated: bool,
     /// The features of its controller.
     pub features: Features,
-    /// Its ports.
+    /// The ports.
     pub links: Links,
     /// Bits 2n and 2n + 1: the type of port n.
     pub ports: u8,
     /// The error counters of its ports.
     pub errors: Errors,
-    /// Its SyncManagers as they are set.
+    /// The SyncManagers as they are set.
     pub managers: Vec<SyncManager>,
-    /// Its FMMUs as they are set.
+    /// The FMMUs as they are set.
     pub fmmus: Vec<Fmmu>,
     /// Cycle of SYNC0, ns, if it is on.
     pub sync0_ns: Option<u32>,
@@ -148,7 +148,7 @@ pub enum ScanError {
          front of it"
     )]
     Lost {
-        /// Its position.
+        /// The position.
         place: u16,
         /// How many slaves there were.
         count: u16,
@@ -215,9 +215,9 @@ pub(super) enum Busy {
     Other(Mac),
     /// A slave is in use, whoever brought it there.
     Running {
-        /// Its position.
+        /// The position.
         place: u16,
-        /// Its state.
+        /// The state.
         state: AlState,
     },
 }
@@ -276,10 +276,10 @@ impl Visit<'_, '_> {
     /// The contents of these registers, in one frame; zero for those that it does not have. It must have the first
     /// one.
     fn read<const N: usize>(&mut self, registers: [(u16, usize); N]) -> Result<[Vec<u8>; N], ScanError> {
-        let asks = registers
+        let requests = registers
             .map(|(register, length)| Ask::read(Command::Aprd(position(self.place), register), length));
         let answers =
-            self.exchange.ask_until(&asks, |answers| answers.first().is_some_and(|a| a.count > 0))?;
+            self.exchange.ask_until(&requests, |answers| answers.first().is_some_and(|a| a.count > 0))?;
         let mut answers = answers.ok_or_else(|| self.lost())?.into_iter();
         Ok(registers.map(|(_, length)| {
             answers.next().filter(|answer| answer.count > 0).map_or_else(|| vec![0; length], |a| a.data)

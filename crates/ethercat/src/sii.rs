@@ -37,9 +37,9 @@ const HEAD: [u16; 7] = [
 pub struct Head {
     /// The slave's identity.
     pub identity: Identity,
-    /// Its serial number; 0 where it is not read.
+    /// The serial number; 0 where it is not read.
     pub serial: u32,
-    /// Its mailboxes: out, in; at 0: it names none.
+    /// The mailboxes: out, in; at 0: it names none.
     pub mailboxes: [Area; 2],
     /// Their protocols.
     pub protocols: Protocols,
@@ -67,7 +67,7 @@ impl Head {
     }
 }
 
-/// What is kept of the categories, and of the status of each read.
+/// The kept part of the categories, and of the status of each read.
 pub trait Content {
     /// The slave has loaded the SII, and its checksum is right, or what is read is to be kept nevertheless.
     fn accepts(&mut self, status: Status) -> bool;
@@ -89,10 +89,10 @@ pub trait Content {
     fn take(&mut self, kind: u16, at: usize, data: &[u8]);
 }
 
-/// What is being read.
+/// The item that is being read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Item {
-    /// So many of the head were read.
+    /// The number of words of the head that were read.
     Head(usize),
     /// The header of category `nth`.
     Category {
@@ -111,9 +111,9 @@ enum Item {
     Done,
 }
 
-/// What is requested next.
+/// The next request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Request {
+enum SiiStep {
     /// Whether it is idle.
     Check,
     /// The failed command is ended.
@@ -126,12 +126,12 @@ enum Request {
 #[derive(Clone, Copy, Debug)]
 pub struct Reader<C> {
     item: Item,
-    next: Request,
+    next: SiiStep,
     /// Looks at a busy SII, and the most of them until the command is repeated.
     looks: u16,
     most_looks: u16,
     repetitions: u8,
-    /// What was read.
+    /// The head that was read.
     pub head: Head,
     /// The same of its categories.
     pub content: C,
@@ -153,7 +153,7 @@ pub enum Reading {
 impl<C: Content> Reader<C> {
     /// Nothing was read yet. A command is repeated after so many looks at a busy SII.
     pub fn new(content: C, most_looks: u16) -> Reader<C> {
-        let (item, next, head) = (Item::Head(0), Request::Check, Head::default());
+        let (item, next, head) = (Item::Head(0), SiiStep::Check, Head::default());
         Reader { item, next, looks: 0, most_looks, repetitions: 0, head, content }
     }
 
@@ -170,15 +170,15 @@ impl<C: Content> Reader<C> {
         let Some(word) = self.word() else { return };
         let control = address::SII_CONTROL;
         match self.next {
-            Request::Clear => ask.write(write(control), &Status::IDLE.to_le_bytes()),
-            Request::Command => ask.write(write(control), &sii::read(word)),
-            Request::Check | Request::Look => ask.read(read(control), LOOK),
+            SiiStep::Clear => ask.write(write(control), &Status::IDLE.to_le_bytes()),
+            SiiStep::Command => ask.write(write(control), &sii::read(word)),
+            SiiStep::Check | SiiStep::Look => ask.read(read(control), LOOK),
         };
     }
 
     /// It writes next: a busy SII, or one that belongs to the slave's processor, does not take that.
     pub fn writes(&self) -> bool {
-        matches!(self.next, Request::Clear | Request::Command)
+        matches!(self.next, SiiStep::Clear | SiiStep::Command)
     }
 
     /// Takes the answer.
@@ -187,9 +187,9 @@ impl<C: Content> Reader<C> {
         let Some(answer) = answers[0] else { return Reading::On };
         if self.writes() {
             if answer.working_counter == 0 {
-                return self.again(Request::Check, Fault::Owned);
+                return self.again(SiiStep::Check, Fault::Owned);
             }
-            self.next = if self.next == Request::Clear { Request::Check } else { Request::Look };
+            self.next = if self.next == SiiStep::Clear { SiiStep::Check } else { SiiStep::Look };
             return Reading::On;
         }
         let Some(status) = answer.data.first_chunk::<2>() else { return Reading::On };
@@ -197,26 +197,26 @@ impl<C: Content> Reader<C> {
         if status.busy() || answer.working_counter == 0 {
             self.looks = self.looks.saturating_add(1);
             let is_long = self.looks > self.most_looks;
-            return if is_long { self.again(Request::Check, Fault::Busy) } else { Reading::Busy };
+            return if is_long { self.again(SiiStep::Check, Fault::Busy) } else { Reading::Busy };
         }
-        if self.next == Request::Check {
+        if self.next == SiiStep::Check {
             if status.failed() {
-                return self.again(Request::Clear, Fault::Refused);
+                return self.again(SiiStep::Clear, Fault::Refused);
             }
-            (self.next, self.looks) = (Request::Command, 0);
+            (self.next, self.looks) = (SiiStep::Command, 0);
             return Reading::On;
         }
         if !self.content.accepts(status) {
-            return self.again(Request::Clear, status.fault());
+            return self.again(SiiStep::Clear, status.fault());
         }
         let (address, data) = (answer.data.get(ADDRESS_AT..DATA_AT), answer.data.get(DATA_AT..LOOK));
         let (Some(word), Some(data)) = (self.word(), data.map(|data| data.as_chunks::<4>().0)) else {
             return Reading::Failed(Fault::Refused);
         };
         if address != Some(&u32::from(word).to_le_bytes()) {
-            return self.again(Request::Check, Fault::Address);
+            return self.again(SiiStep::Check, Fault::Address);
         }
-        (self.next, self.looks, self.repetitions) = (Request::Command, 0, 0);
+        (self.next, self.looks, self.repetitions) = (SiiStep::Command, 0, 0);
         let halves = if status.reads_eight() { 2 } else { 1 };
         for (half, data) in (0..halves).zip(data) {
             // The second half counts if it is what would be read next.
@@ -227,7 +227,7 @@ impl<C: Content> Reader<C> {
         if self.item == Item::Done { Reading::Done } else { Reading::On }
     }
 
-    fn again(&mut self, next: Request, fault: Fault) -> Reading {
+    fn again(&mut self, next: SiiStep, fault: Fault) -> Reading {
         (self.next, self.looks) = (next, 0);
         self.repetitions += 1;
         if self.repetitions > REPETITIONS { Reading::Failed(fault) } else { Reading::On }

@@ -24,7 +24,7 @@ pub struct Ask {
 pub struct Answer<'a> {
     /// How often it was carried out.
     pub working_counter: u16,
-    /// What was read, or written.
+    /// The data read, or written.
     pub data: &'a [u8],
 }
 
@@ -74,7 +74,7 @@ impl Ask {
         true
     }
 
-    /// Its datagrams, each with the bytes that it writes.
+    /// The datagrams, each with the bytes that it writes.
     pub fn datagrams(&self) -> impl Iterator<Item = (Command, &[u8])> {
         self.commands[..self.count].iter().scan(0, |at, &(command, length)| {
             let begin = *at;

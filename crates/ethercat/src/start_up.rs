@@ -114,7 +114,7 @@ mod tests {
     }
 
     #[test]
-    fn a_drive_is_told_its_cycle_its_pdos_and_its_mode() {
+    fn a_drive_gets_its_cycle_its_pdos_and_its_mode() {
         let mut drive = KollmorgenDrive::new("x", 0, Family::S700);
         drive.slave.start_up.push(Start::new(Object::new(0x6081, 0), Type::U32, 5));
         let (cycle, rest) = ("60C2:1=2 60C2:2=FD", "6060:0=80 6081:0=5");
@@ -144,7 +144,7 @@ mod tests {
     }
 
     #[test]
-    fn of_a_drive_that_runs_its_pdos_and_what_is_in_them_are_looked_at() {
+    fn pdos_of_a_running_drive_are_read_and_compared() {
         let mut drive = KollmorgenDrive::new("x", 0, Family::S700);
         assert_eq!(text(&verify_found(&drive)), "1C12:0=1 1C12:1=1702 1C13:0=1 1C13:1=1B03");
         drive.mapping = Mapping::Free;

@@ -20,7 +20,7 @@ use fieldbeat_core::time::Time;
 /// The master's side of a drive.
 pub(super) struct DriveEnd {
     pub(super) station: Station,
-    /// Its slave.
+    /// The slave.
     pub(super) slave: usize,
 }
 
@@ -42,7 +42,7 @@ pub(super) struct DeviceEnd {
     pub(super) port: TerminalPort,
     pub(super) offsets: Offsets,
     pub(super) operational: bool,
-    /// What is counted of it.
+    /// The counters.
     pub(super) counters: Arc<DeviceCounters>,
 }
 
@@ -71,7 +71,7 @@ impl Endpoints<'_> {
 }
 
 impl DeviceEnd {
-    /// Its mailbox was read: reports the next emergency to the application, if there is room for it.
+    /// The mailbox was read: reports the next emergency to the application, if there is room for it.
     fn mailbox_received(&mut self) {
         if self.port.may_report()
             && let Some(emergency) = self.service.take_emergency()

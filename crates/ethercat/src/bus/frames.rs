@@ -16,12 +16,12 @@ use fieldbeat_core::time::Time;
 pub(super) const KNOWN: usize = 256;
 /// The most frames taken in at once beyond those that are due.
 const MORE_AT_ONCE: usize = 4;
-/// So many cycles in a row without a returned frame are reported as a fault of the wire.
+/// The number of cycles in a row without a returned frame that are reported as a fault of the wire.
 const SILENT: u8 = 100;
 
 /// A frame that was sent.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Known {
+pub(super) struct SentFrame {
     pub(super) number: Option<u32>,
     pub(super) frame: u8,
     pub(super) answered: bool,
@@ -241,7 +241,7 @@ impl EthercatBus {
         let sent_at = sent.ok();
         let sent = sent_at.map(|at| Sent { cycle: *cycle, at });
         self.flights[number] = Flight { number: mark.number, sent, back: false };
-        let known = Known { number: sent_at.map(|_| mark.number), frame: number as u8, answered: false };
+        let known = SentFrame { number: sent_at.map(|_| mark.number), frame: number as u8, answered: false };
         self.known[mark.number as usize % KNOWN] = known;
         sent_at
     }

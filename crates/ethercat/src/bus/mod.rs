@@ -17,7 +17,7 @@ use std::os::fd::RawFd;
 use std::sync::Arc;
 
 use self::endpoints::{DeviceEnd, DriveEnd, Outgoing};
-use self::frames::{Flight, KNOWN, Known};
+use self::frames::{Flight, KNOWN, SentFrame};
 use self::notes::{SlaveNotes, WireNote};
 use self::plan::open;
 use super::image::{Image, Mark};
@@ -62,7 +62,7 @@ struct EthercatBus {
     /// Identifies this master in its frames, and counts them.
     mark: Mark,
     /// The state of the last frames, each at the index of its number.
-    known: Box<[Known; KNOWN]>,
+    known: Box<[SentFrame; KNOWN]>,
     /// For each frame of the image: when it was sent, and whether it is still under way.
     flights: Box<[Flight]>,
     /// How many frames of the last send are not back; one that could not be sent counts, too.
@@ -151,7 +151,7 @@ impl EthercatBus {
             devices,
             segment,
             mark: Mark { master: (begun.0 ^ begun.0 >> 32) as u32, number: 0 },
-            known: Box::new([Known::default(); KNOWN]),
+            known: Box::new([SentFrame::default(); KNOWN]),
             room: Box::new([0; FRAME_MAX]),
             prepared: false,
             ending: false,

@@ -11,7 +11,7 @@ use fieldbeat_core::bus::notes::NoteCells;
 use fieldbeat_core::net::frames::Dropped;
 use fieldbeat_core::net::local;
 
-/// What is wrong with the wire.
+/// The fault of the wire.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) enum WireNote {
     #[default]
@@ -36,7 +36,7 @@ pub(super) struct SlaveNotes {
     pub(super) drives: Vec<KnownSlave>,
     /// The same of each device.
     pub(super) devices: Vec<KnownSlave>,
-    /// What is counted of each device.
+    /// The counters of each device.
     pub(super) counters: Vec<Arc<DeviceCounters>>,
     pub(super) dropped: Option<Arc<dyn Dropped>>,
     pub(super) wire: NoteCells<WireNote>,

@@ -29,14 +29,14 @@ pub enum Drives {
     Akd,
 }
 
-/// What is known of an object.
+/// An entry of the catalogue of objects.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Known {
+pub struct ObjectInfo {
     /// The object.
     pub object: Object,
-    /// Its name here.
+    /// The name here.
     pub name: &'static str,
-    /// Its type.
+    /// The type.
     pub kind: Type,
     /// Whether it can be written.
     pub access: Access,
@@ -53,43 +53,43 @@ pub struct Known {
 }
 
 /// An object that can be read, of all drives.
-const fn known(kind: Type, index: u16, sub: u8, name: &'static str) -> Known {
+const fn known(kind: Type, index: u16, sub: u8, name: &'static str) -> ObjectInfo {
     let (object, (min, max)) = (Object::new(index, sub), kind.range());
     let (access, drives) = (Access::ReadOnly, Drives::All);
-    Known { object, name, kind, access, unit: "", min, max, drives, assumed: false }
+    ObjectInfo { object, name, kind, access, unit: "", min, max, drives, assumed: false }
 }
 
-impl Known {
-    const fn writable(self) -> Known {
-        Known { access: Access::ReadWrite, ..self }
+impl ObjectInfo {
+    const fn writable(self) -> ObjectInfo {
+        ObjectInfo { access: Access::ReadWrite, ..self }
     }
 
-    const fn in_pre_op(self) -> Known {
-        Known { access: Access::PreOp, ..self }
+    const fn in_pre_op(self) -> ObjectInfo {
+        ObjectInfo { access: Access::PreOp, ..self }
     }
 
-    const fn unit(self, unit: &'static str) -> Known {
-        Known { unit, ..self }
+    const fn unit(self, unit: &'static str) -> ObjectInfo {
+        ObjectInfo { unit, ..self }
     }
 
-    const fn within(self, min: i64, max: i64) -> Known {
-        Known { min, max, ..self }
+    const fn within(self, min: i64, max: i64) -> ObjectInfo {
+        ObjectInfo { min, max, ..self }
     }
 
-    const fn s700(self) -> Known {
-        Known { drives: Drives::S700, ..self }
+    const fn s700(self) -> ObjectInfo {
+        ObjectInfo { drives: Drives::S700, ..self }
     }
 
-    const fn akd(self) -> Known {
-        Known { drives: Drives::Akd, ..self }
+    const fn akd(self) -> ObjectInfo {
+        ObjectInfo { drives: Drives::Akd, ..self }
     }
 
-    const fn assume(self) -> Known {
-        Known { assumed: true, ..self }
+    const fn assume(self) -> ObjectInfo {
+        ObjectInfo { assumed: true, ..self }
     }
 }
 
-const ALL: &[Known] = &[
+const ALL: &[ObjectInfo] = &[
     // Communication.
     known(U32, 0x1000, 0, "device-type"),
     known(U8, 0x1001, 0, "error-register"),
@@ -180,17 +180,17 @@ const ALL: &[Known] = &[
 ];
 
 /// All of them, by index and subindex.
-pub fn all() -> impl Iterator<Item = &'static Known> {
+pub fn all() -> impl Iterator<Item = &'static ObjectInfo> {
     ALL.iter()
 }
 
-/// What is known of an object.
-pub fn find(object: Object) -> Option<&'static Known> {
+/// The catalogue's entry of an object.
+pub fn find(object: Object) -> Option<&'static ObjectInfo> {
     ALL.binary_search_by_key(&object.key(), |known| known.object.key()).ok().map(|place| &ALL[place])
 }
 
 /// The one of this name.
-pub fn named(name: &str) -> Option<&'static Known> {
+pub fn named(name: &str) -> Option<&'static ObjectInfo> {
     all().find(|known| known.name == name)
 }
 

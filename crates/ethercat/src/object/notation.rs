@@ -1,6 +1,6 @@
 //! How people write objects and their values, the calls made from them, and their lists.
 
-use super::catalogue::{self, Drives, Known};
+use super::catalogue::{self, Drives, ObjectInfo};
 use super::{MAILBOX, Object, Target, Type, long, own_reason};
 use crate::wire::mailbox::MailboxError;
 use crate::wire::sdo::AbortCode;
@@ -43,7 +43,9 @@ impl Notation for Objects {
         let place = Place::of(target, values);
         let instead = match known {
             _ if target.complete => "each subindex by itself",
-            Some(Known { access: catalogue::Access::ReadOnly, .. }) => "an object that is no actual value",
+            Some(ObjectInfo { access: catalogue::Access::ReadOnly, .. }) => {
+                "an object that is no actual value"
+            }
             _ => return Ok(place),
         };
         Ok(Place { write: Err(NotationError::ReadOnly { instead }), ..place })
@@ -77,13 +79,13 @@ pub fn string(kind: Type, text: &str) -> Option<Vec<u8>> {
     if kind == Type::Octets { long::parse_octets(text) } else { long::parse_text(text) }
 }
 
-fn row(known: &'static Known) -> Listed {
+fn row(known: &'static ObjectInfo) -> Listed {
     let (address, usage) = (known.object.to_string(), Some(usage(known)));
     Listed { address, name: Some(known.name), usage, raw: None }
 }
 
 /// Type, access, and which drives have it if not all.
-fn usage(known: &Known) -> String {
+fn usage(known: &ObjectInfo) -> String {
     let drives = match known.drives {
         Drives::All => "",
         Drives::S700 => ", not AKD",

@@ -19,16 +19,16 @@ use super::{Family, Object, Type};
 pub struct Entry {
     /// The object.
     pub object: Object,
-    /// Its type, which gives its size.
+    /// The type, which gives its size.
     pub kind: Type,
 }
 
 /// A PDO: its number, and its objects in order.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Layout {
-    /// Its index, as 1C12h and 1C13h have it.
+    /// The index, as 1C12h and 1C13h have it.
     pub pdo: u16,
-    /// Its objects.
+    /// The objects.
     pub entries: Vec<Entry>,
 }
 
@@ -44,7 +44,7 @@ impl Layout {
         self.entries.iter().map(|entry| entry.kind.bytes()).sum()
     }
 
-    /// Its objects with the byte that each begins at.
+    /// The objects with the byte that each begins at.
     pub fn places(&self) -> impl Iterator<Item = (usize, Entry)> {
         self.entries.iter().scan(0, |next, entry| {
             let at = *next;

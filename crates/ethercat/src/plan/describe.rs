@@ -11,8 +11,8 @@ use fieldbeat_core::axis::{HeldBy, Load};
 use fieldbeat_core::time::Ns;
 
 impl EthercatPlan {
-    /// What `check` says: a paragraph a drive, whose first line is its address, then a line each of what else there is
-    /// to say of the line.
+    /// The lines of `check`: a paragraph a drive, whose first line is its address, then a line each of what else there
+    /// is to say of the line.
     pub fn describe(&self, period_ns: u64) -> Vec<String> {
         let drive = |drive: &KollmorgenDrive| {
             let mut lines = vec![self.address(&drive.slave)];
@@ -137,7 +137,7 @@ impl KollmorgenDrive {
         format!("writes {}; reads {}; {how}", pdo(&self.outputs), pdo(&self.inputs))
     }
 
-    /// What its outputs carry besides control word and setpoint.
+    /// The objects in its outputs besides control word and setpoint.
     fn describe_rest(&self) -> Option<String> {
         let rest = self.outputs.entries.iter().filter_map(|one| {
             let carried = match source(self, *one).ok()? {
@@ -222,7 +222,7 @@ impl KollmorgenDrive {
     }
 }
 
-/// What it does, by the commands that it can carry out.
+/// The commands that it can carry out, in words.
 fn commands(setpoint: Setpoint) -> &'static str {
     match setpoint {
         Setpoint::Position(_) => "takes moves, streams, jogs, velocities and homing",
@@ -269,7 +269,7 @@ impl Expected {
 }
 
 impl SlavePlan {
-    /// Its watchdog as it will be: without its SII nothing is delivered.
+    /// The watchdog as it will be: without its SII nothing is delivered.
     fn ending(&self) -> Watchdog {
         match self.watchdog {
             Watchdog::AsDelivered if !self.check_sii => Watchdog::Off,

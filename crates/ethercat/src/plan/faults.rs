@@ -45,7 +45,7 @@ const OF_A_DRIVE: Keys = ["buffers"; 2];
 const OF_A_DEVICE: Keys = ["outputs", "inputs"];
 
 impl EthercatPlan {
-    /// What is wrong, with the place of the drive: what is wrong with the segment or with a device is put down to the
+    /// The mistakes, each with the place of the drive: those of the segment or of a device are put down to the
     /// first one.
     pub fn faults(&self, period_ns: u64) -> Vec<(usize, PlanFault)> {
         let mut faults: Vec<(usize, PlanFault)> = Vec::new();
@@ -78,7 +78,7 @@ impl EthercatPlan {
         found
     }
 
-    /// What is wrong, and whose it is, the segment's or a slave's; all that a drive has as an axis left out.
+    /// The mistakes, each with its owner, the segment or a slave; those of a drive as an axis left out.
     #[doc(hidden)]
     pub fn findings(&self, period_ns: u64) -> Vec<(Option<Owner>, PlanFault)> {
         let mut faults: Vec<_> = self.check_line(period_ns).into_iter().map(|fault| (None, fault)).collect();
@@ -145,7 +145,7 @@ impl EthercatPlan {
 }
 
 impl SlavePlan {
-    /// What is wrong with its memory and its watchdog.
+    /// The mistakes of its memory and its watchdog.
     fn check(&self, period_ns: u64, keys: Keys, found: &mut Vec<PlanFault>) {
         self.check_memory(keys, found);
         let Some(watchdog_ns) = self.watchdog.ns() else { return };
@@ -214,7 +214,7 @@ impl SlavePlan {
         format!("its {} overlap its {}{remedy} move them apart", what(name, bytes), what(other, taken))
     }
 
-    /// What it has in its memory: the key, the name, where. Nothing where there is none.
+    /// The areas of its memory: the key, the name, where. Nothing where there is none.
     fn areas(&self, [outputs, inputs]: Keys) -> Vec<Named> {
         let span = |area: Area, times: u32| {
             let start = u32::from(area.start);
@@ -238,7 +238,7 @@ fn what(name: &str, bytes: &Range<u32>) -> String {
 }
 
 impl KollmorgenDrive {
-    /// What is wrong with it, all that it has as an axis left out.
+    /// The mistakes of the drive, those of its axis left out.
     fn check(&self, period_ns: u64, found: &mut Vec<PlanFault>) {
         self.slave.check(period_ns, OF_A_DRIVE, found);
         self.check_layouts(found);
@@ -263,7 +263,7 @@ impl KollmorgenDrive {
         }
     }
 
-    /// What the station needs in the process data.
+    /// The mistakes of the process data that the station needs.
     fn check_layouts(&self, found: &mut Vec<PlanFault>) {
         let pdos = [
             ("pdo.outputs", &self.outputs, self.slave.output_bytes(), CONTROL_WORD, "control word", true),

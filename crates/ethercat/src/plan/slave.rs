@@ -6,15 +6,15 @@ use fieldbeat_core::time::S;
 
 /// The most areas of outputs of a slave, and of inputs.
 pub const MOST_AREAS: usize = 4;
-/// What descriptions of slaves usually give an answer to an SDO (ETG.2000, `ResponseTimeout`).
+/// The usual time for an answer to an SDO in descriptions of slaves (ETG.2000, `ResponseTimeout`).
 const SDO_TIMEOUT_NS: u64 = 2 * S;
 /// Longer than what they usually give a change of state: 3 s, and 10 s into SAFEOP and OP together (ETG.2000).
 const STATE_TIMEOUT_NS: u64 = 5 * S;
 
-/// What the segment needs to know of a slave, drive or not.
+/// The segment's settings of a slave, drive or not.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SlavePlan {
-    /// Its place on the line: 0 is next to the master.
+    /// The place on the line: 0 is next to the master.
     pub place: u16,
     /// Who it has to be; a number that is left out may be any.
     pub identity: Expected,
@@ -25,11 +25,11 @@ pub struct SlavePlan {
     pub outputs: Vec<Area>,
     /// See `outputs`.
     pub inputs: Vec<Area>,
-    /// What makes it fall back by itself when no outputs come any more.
+    /// The watchdog that makes it fall back by itself when no outputs come any more.
     pub watchdog: Watchdog,
     /// It has a clock, and makes SYNC0 of it.
     pub sync: bool,
-    /// What its SII says is held against all this, as far as it says anything.
+    /// Compares all this with its SII, as far as that says anything.
     pub check_sii: bool,
     /// The time that it may take to answer an SDO, ns: the mailbox time-out of its description (ESI).
     pub sdo_timeout_ns: u64,
@@ -71,17 +71,17 @@ impl Watchdog {
 /// Who a slave has to be. What is left out may be any.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Expected {
-    /// Its maker.
+    /// The maker.
     pub vendor: Option<u32>,
-    /// What it is.
+    /// The product code.
     pub product: Option<u32>,
     /// Which form of it.
     pub revision: Option<u32>,
     /// Which one of them: the serial number in its SII.
     pub serial: Option<u32>,
-    /// Its configured station alias, as register 0012h has it since its power-on.
+    /// The configured station alias, as register 0012h has it since its power-on.
     pub alias: Option<u16>,
-    /// What it answers to a request for its identification: its selectors, or what was stored in it (ETG.1020).
+    /// The answer to a request for its identification: its selectors, or what was stored in it (ETG.1020).
     pub identification: Option<u16>,
 }
 
@@ -99,7 +99,7 @@ pub struct Area {
 pub struct Start {
     /// Which.
     pub object: Object,
-    /// Its type: its size.
+    /// The type: its size.
     pub kind: Type,
     /// The bits of its value.
     pub raw: u64,
@@ -154,7 +154,7 @@ impl Start {
 pub const FIRST_STATION: u16 = 0x1001;
 
 impl SlavePlan {
-    /// Its station address.
+    /// The station address.
     pub fn station(&self) -> u16 {
         FIRST_STATION.wrapping_add(self.place)
     }
@@ -202,7 +202,7 @@ impl Area {
 }
 
 impl Expected {
-    /// Its SII has a part of this.
+    /// The SII has a part of this.
     pub(crate) const fn is_in_sii(&self) -> bool {
         self.vendor.is_some() || self.product.is_some() || self.revision.is_some() || self.serial.is_some()
     }

@@ -19,7 +19,7 @@ const NOT_WATCHED: &str = "its SyncManager watchdog is not set, nothing may stop
 /// taken before that, at the last synchronisation.
 const BEHIND: u64 = 2;
 
-/// What its setpoint is, and the raw setpoint of one user unit/s, or of one per cent of the rated torque.
+/// The setpoint's quantity, and the raw setpoint of one user unit/s, or of one per cent of the rated torque.
 pub(super) fn quantity(drive: &KollmorgenDrive) -> (Quantity, f64) {
     let axis = &drive.axis;
     let turns = axis.units.counts_per_unit / drive.scaling.increments();
@@ -34,7 +34,7 @@ pub(super) fn quantity(drive: &KollmorgenDrive) -> (Quantity, f64) {
     }
 }
 
-/// What a drive can do.
+/// The capabilities of a drive.
 pub fn capabilities(drive: &KollmorgenDrive, period_ns: u64) -> Capabilities {
     let (quantity, _) = quantity(drive);
     let is_controlled = drive.outputs.entries.iter().any(|entry| entry.object == CONTROL_WORD);

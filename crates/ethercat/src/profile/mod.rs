@@ -55,7 +55,7 @@ const COLD_START: &str =
 pub struct Inputs {
     /// It is in OP: outputs count.
     pub operational: bool,
-    /// Its status word.
+    /// The status word.
     pub status: StatusWord,
     /// By the status word.
     pub state: Cia402,
@@ -65,9 +65,9 @@ pub struct Inputs {
     pub position: f64,
     /// User units/s.
     pub velocity: f64,
-    /// Its fault; 0: not known.
+    /// The fault; 0: not known.
     pub fault: u16,
-    /// Its fault is known, as far as it will ever be.
+    /// The fault is known, as far as it will ever be.
     pub named: bool,
     /// Only switching it off and on ends its fault.
     pub cold: bool,
@@ -79,7 +79,7 @@ impl Inputs {
     }
 }
 
-/// What the outputs that left have led to.
+/// The state after the outputs that left.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 struct State {
     power: Intent<Power>,
@@ -143,7 +143,7 @@ impl State {
 
 /// The profile of one drive.
 ///
-/// What every exchange touches is on two cache lines: from the revisions at the end of `state` up to `builds_each`, and
+/// An exchange touches two cache lines: from the revisions at the end of `state` up to `builds_each`, and
 /// from `answers` up to the front of `offsets`. Reports need the second one alone.
 #[derive(Debug)]
 #[repr(C, align(64))]
@@ -171,7 +171,7 @@ pub struct Profile {
     pub(super) origin: f64,
     pub(super) sent: Sent,
     quantity: Quantity,
-    /// What is neither control word nor setpoint is in the outputs.
+    /// The outputs have all but control word and setpoint.
     is_filled: bool,
     /// The offsets of its process data.
     pub offsets: Offsets,
@@ -186,7 +186,7 @@ pub struct Profile {
     mode_refused: bool,
 }
 
-/// What went out.
+/// The outputs that left.
 #[derive(Clone, Copy, Debug, Default)]
 #[repr(C)] // As in the profile.
 pub(super) struct Sent {
@@ -195,9 +195,9 @@ pub(super) struct Sent {
     /// The last exchange had a drive follow setpoints, or home.
     follows: bool,
     homes: bool,
-    /// Its outputs reach the drive.
+    /// The outputs reach the drive.
     pub(super) reached: bool,
-    /// Its setpoints are the demand of the drive, and reach it.
+    /// The setpoints are the demand of the drive, and reach it.
     pub(super) led: bool,
 }
 
@@ -288,7 +288,7 @@ impl Profile {
         }
     }
 
-    /// What is not in the setpoint alone.
+    /// Builds all that is not in the setpoint alone.
     #[inline(never)]
     fn build(&mut self, desired: &Desired, actual: (i32, bool), native: &mut NativePort) {
         let state = self.state.propose(desired.revision());
@@ -439,7 +439,7 @@ impl Profile {
         self.state.left().homes
     }
 
-    /// Its reference may change any time.
+    /// The reference may change any time.
     #[inline]
     pub(super) fn is_finding_home(&self) -> bool {
         self.is_homing() && self.mode_wanted() == desired::Mode::Homing
@@ -451,7 +451,7 @@ impl Profile {
         self.sent.homes.then_some(homing)
     }
 
-    /// Its hardware enable was missing when it was last commanded to switch on, not long ago.
+    /// The hardware enable was missing when it was last commanded to switch on, not long ago.
     #[inline]
     pub(super) fn is_sto_open(&self) -> bool {
         self.dark_at.is_some_and(|dark_at| self.grid.since(dark_at) < DARK_NS)
@@ -472,7 +472,7 @@ impl Profile {
         }
     }
 
-    /// What a report proves, of a drive in this mode.
+    /// Takes the evidence of a report, of a drive in this mode.
     #[inline]
     pub(super) fn prove(&mut self, inputs: &Inputs, mode: ModeIs, evidence: &mut Evidence) {
         if self.mode_wanted() != desired::Mode::Homing {
@@ -508,7 +508,8 @@ impl Profile {
         evidence.position = inputs.position;
     }
 
-    /// What is desired was sent and proved; what else is written and proved stays the same while the status does.
+    /// True if the desired state was sent and proved; the rest of outputs and evidence stays the same while the status
+    /// does.
     pub(super) fn is_steady(&self, inputs: &Inputs) -> bool {
         let State { power, mode, motion, control, is_away, .. } = *self.state.left();
         let is_delivered =
@@ -551,7 +552,7 @@ mod tests {
 
     /// If another field of `state` moves them, one of the rare ones in front of it moves behind `offsets`, or back.
     #[test]
-    fn what_every_exchange_touches_is_on_two_cache_lines() {
+    fn an_exchange_touches_two_cache_lines() {
         use std::mem::offset_of;
         let (grid, answers) = (offset_of!(Profile, grid), offset_of!(Profile, answers));
         assert_eq!((offset_of!(Profile, state) + size_of::<Prepared<State>>(), grid % 64), (grid, 32));

@@ -9,7 +9,7 @@ use crate::outputs::{Source, source};
 use crate::plan::{KollmorgenDrive, Setpoint, Start};
 use fieldbeat_core::rt::Regions;
 
-/// Its inputs have an actual position.
+/// The inputs have an actual position.
 pub fn reports_position(drive: &KollmorgenDrive) -> bool {
     let is_one =
         |object| drive.inputs.entries.iter().any(|entry| entry.object == object && entry.kind.bytes() == 4);
@@ -144,24 +144,24 @@ impl Offsets {
         get(inputs, self.status).map(u16::from_le_bytes)
     }
 
-    /// Its actual position.
+    /// The actual position.
     #[inline]
     pub fn position(&self, inputs: &[u8]) -> Option<i32> {
         get(inputs, self.position).map(i32::from_le_bytes)
     }
 
-    /// Its inputs have a velocity.
+    /// The inputs have a velocity.
     pub fn reports_velocity(&self) -> bool {
         self.velocity != NOWHERE
     }
 
-    /// Its actual velocity.
+    /// The actual velocity.
     #[inline]
     pub fn velocity(&self, inputs: &[u8]) -> Option<i32> {
         get(inputs, self.velocity).map(i32::from_le_bytes)
     }
 
-    /// Its actual torque.
+    /// The actual torque.
     #[inline]
     pub fn torque(&self, inputs: &[u8]) -> Option<i16> {
         get(inputs, self.torque).map(i16::from_le_bytes)
@@ -245,7 +245,7 @@ mod tests {
     }
 
     #[test]
-    fn what_else_is_mapped_is_as_planned_or_the_drives_own() {
+    fn other_mapped_objects_have_planned_values_or_those_of_the_drive() {
         let mut akd = drive(Family::Akd, 0x1725, 0x1B26);
         let outputs = Object::new(0x60FE, 1);
         akd.slave.start_up.push(Start::new(outputs, Type::U32, 3));

@@ -69,37 +69,37 @@ impl<'a> Exchange<'a> {
     /// Listens for another master before anything is sent.
     pub(super) fn listen(&mut self) -> Result<(), ScanError> {
         let until = self.now() + LISTEN_NS;
-        self.hear(&[], until).map(drop)
+        self.receive(&[], until).map(drop)
     }
 
     /// Sends these in one frame, again if it does not come back. `None`: it never did.
-    pub(super) fn ask(&mut self, asks: &[Ask]) -> Result<Option<Vec<Answer>>, ScanError> {
-        self.ask_until(asks, |_| true)
+    pub(super) fn ask(&mut self, requests: &[Ask]) -> Result<Option<Vec<Answer>>, ScanError> {
+        self.ask_until(requests, |_| true)
     }
 
     /// The same until the answer is `good`.
     pub(super) fn ask_until(
         &mut self,
-        asks: &[Ask],
+        requests: &[Ask],
         good: impl Fn(&[Answer]) -> bool,
     ) -> Result<Option<Vec<Answer>>, ScanError> {
         for _ in 0..ATTEMPTS {
             self.mark.number = self.mark.number.wrapping_add(1);
-            self.send(asks)?;
+            self.send(requests)?;
             let until = self.now() + BACK_WITHIN_NS;
-            if let Some(answers) = self.hear(asks, until)?.filter(|answers| good(answers)) {
+            if let Some(answers) = self.receive(requests, until)?.filter(|answers| good(answers)) {
                 return Ok(Some(answers));
             }
         }
         Ok(None)
     }
 
-    fn send(&mut self, asks: &[Ask]) -> Result<(), ScanError> {
+    fn send(&mut self, requests: &[Ask]) -> Result<(), ScanError> {
         let mut room = [0; FRAME_MAX];
         let mac = self.frames.mac();
         let Some(mut frame) = Builder::new(&mut room, BROADCAST, mac) else { return Ok(()) };
         frame.push_with(Command::Nop, 0, &self.mark.bytes());
-        for (index, ask) in (1..).zip(asks) {
+        for (index, ask) in (1..).zip(requests) {
             frame.push_with(ask.command, index, &ask.data);
         }
         let length = frame.finish();
@@ -107,7 +107,7 @@ impl<'a> Exchange<'a> {
     }
 
     /// Waits for the frame with the present mark.
-    fn hear(&mut self, asks: &[Ask], until: Time) -> Result<Option<Vec<Answer>>, ScanError> {
+    fn receive(&mut self, requests: &[Ask], until: Time) -> Result<Option<Vec<Answer>>, ScanError> {
         let mut room = [0; FRAME_MAX];
         loop {
             if !(self.go_on)() {
@@ -120,7 +120,7 @@ impl<'a> Exchange<'a> {
                 self.frames.wait(LOOK_MS);
                 continue;
             };
-            let answers = self.judge(&room[..length.min(FRAME_MAX)], asks)?;
+            let answers = self.judge(&room[..length.min(FRAME_MAX)], requests)?;
             if answers.is_some() || self.now() >= until {
                 return Ok(answers);
             }
@@ -128,7 +128,7 @@ impl<'a> Exchange<'a> {
     }
 
     /// The answers in a received frame; `None`: it is of no use, and not another master's.
-    fn judge(&self, frame: &[u8], asks: &[Ask]) -> Result<Option<Vec<Answer>>, ScanError> {
+    fn judge(&self, frame: &[u8], requests: &[Ask]) -> Result<Option<Vec<Answer>>, ScanError> {
         let Ok(Ok(read)) = datagrams(frame).map(Iterator::collect::<Result<Vec<Datagram>, _>>) else {
             return Ok(None);
         };
@@ -137,9 +137,9 @@ impl<'a> Exchange<'a> {
         if mark.is_none_or(|mark| mark.master != self.mark.master) {
             return source(frame).map_or(Ok(None), |mac| Err(ScanError::Foreign(mac)));
         }
-        let is_whole = rest.len() == asks.len()
-            && rest.iter().zip(asks).all(|(back, ask)| ask.is(back) && !back.circulated);
-        if mark != Some(self.mark) || !is_whole || asks.is_empty() {
+        let is_whole = rest.len() == requests.len()
+            && rest.iter().zip(requests).all(|(back, ask)| ask.is(back) && !back.circulated);
+        if mark != Some(self.mark) || !is_whole || requests.is_empty() {
             return Ok(None);
         }
         let answer = |back: &Datagram| Answer { data: back.data.to_vec(), count: back.working_counter };
@@ -153,12 +153,12 @@ mod tests {
     use crate::other::tests::Interface;
     use crate::wire::frame::FRAME_MIN;
 
-    /// A frame that begins with `mark`, and the answers to `asks`.
-    fn frame(mark: &[u8], asks: &[Ask]) -> Vec<u8> {
+    /// A frame that begins with `mark`, and the answers to `requests`.
+    fn frame(mark: &[u8], requests: &[Ask]) -> Vec<u8> {
         let mut room = [0; FRAME_MAX];
         let mut frame = Builder::new(&mut room, BROADCAST, [0x12; 6]).unwrap();
         frame.push_with(Command::Nop, 0, mark);
-        for ask in asks {
+        for ask in requests {
             frame.push_with(ask.command, 1, &ask.data);
         }
         let length = frame.finish();
@@ -170,9 +170,9 @@ mod tests {
         let mut nobody = Interface::new(Vec::new(), None);
         let mut exchange = Exchange::new(&mut nobody, &|| true);
         exchange.mark.number = 3;
-        let asks = [Ask::read(Command::Brd(0), 2)];
+        let requests = [Ask::read(Command::Brd(0), 2)];
         let mark = exchange.mark.bytes();
-        let good = frame(&mark, &asks);
+        let good = frame(&mark, &requests);
         let changed = |at: usize, byte: u8| {
             let mut frame = good.clone();
             frame[at] = byte;
@@ -184,7 +184,7 @@ mod tests {
         let answer = Answer { data: vec![0, 0], count: 0 };
         for (what, received, expected) in [
             ("good", good.clone(), Ok(Some(vec![answer]))),
-            ("late", frame(&late, &asks), Ok(None)),
+            ("late", frame(&late, &requests), Ok(None)),
             ("of another shape", frame(&mark, &[Ask::read(Command::Brd(0x0130), 2)]), Ok(None)),
             ("of none", frame(&mark, &[]), Ok(None)),
             ("circulated", changed(16 + 20 + 7, good[16 + 20 + 7] | 1 << 6), Ok(None)),
@@ -192,10 +192,10 @@ mod tests {
             ("of a gateway", changed(15, 0x50), Ok(None)),
             ("zeros", vec![0; FRAME_MIN], Ok(None)),
             ("empty", vec![], Ok(None)),
-            ("with another mark", frame(&other, &asks), foreign()),
-            ("with no mark", frame(&[0; 4], &asks), foreign()),
+            ("with another mark", frame(&other, &requests), foreign()),
+            ("with no mark", frame(&[0; 4], &requests), foreign()),
         ] {
-            assert_eq!(exchange.judge(&received, &asks), expected, "{what}");
+            assert_eq!(exchange.judge(&received, &requests), expected, "{what}");
         }
     }
 }

@@ -24,11 +24,11 @@ const NAME_WORDS: u16 = 2;
 /// The content of a slave's SII.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Information {
-    /// Its checksum is right, and the slave has loaded it.
+    /// The checksum is right, and the slave has loaded it.
     pub sound: bool,
     /// The slave's identity.
     pub identity: Identity,
-    /// Its serial number.
+    /// The serial number.
     pub serial: u32,
     /// The name of its type; empty: none. What cannot be printed is replaced.
     pub name: String,
@@ -36,7 +36,7 @@ pub struct Information {
     pub mailbox: Option<[Area; 2]>,
     /// The mailbox protocols.
     pub protocols: Protocols,
-    /// Its SyncManagers as delivered.
+    /// The SyncManagers as delivered.
     pub managers: Vec<(SyncManager, Use)>,
 }
 
@@ -84,8 +84,8 @@ impl Visit<'_, '_> {
     }
 
     fn own(&mut self, owner: &[u8]) -> Result<(), ScanError> {
-        let asks = [exchange::Ask::write(Command::Apwr(position(self.place), address::SII_OWNER), owner)];
-        self.exchange.ask(&asks)?.ok_or_else(|| self.lost()).map(drop)
+        let requests = [exchange::Ask::write(Command::Apwr(position(self.place), address::SII_OWNER), owner)];
+        self.exchange.ask(&requests)?.ok_or_else(|| self.lost()).map(drop)
     }
 
     fn all(&mut self) -> Result<Result<Information, Unread>, ScanError> {
@@ -98,9 +98,9 @@ impl Visit<'_, '_> {
             let (read, write) =
                 (|register| Command::Aprd(place, register), |register| Command::Apwr(place, register));
             reader.request(read, write, &mut ask);
-            let asks: Vec<_> =
+            let requests: Vec<_> =
                 ask.datagrams().map(|(command, data)| exchange::Ask::write(command, data)).collect();
-            let answers = self.exchange.ask(&asks)?.ok_or_else(|| self.lost())?;
+            let answers = self.exchange.ask(&requests)?.ok_or_else(|| self.lost())?;
             let answer = answers
                 .first()
                 .map(|answer| slot::Answer { working_counter: answer.count, data: &answer.data });

@@ -23,8 +23,8 @@ const SLEW: u64 = 2_000;
 const ORIGIN_NS: u64 = 1 << 36;
 /// Times that differ by at most this part of the window are the same.
 const SAME: i64 = 4;
-/// So many more samples inside of half of the window than outside are a lock, and it is lost when as many more were
-/// outside: the other half is for the jitter of the frames.
+/// The excess of samples inside of half of the window over those outside that is a lock, which is lost when as many
+/// more were outside: the other half is for the jitter of the frames.
 const SAMPLES: u8 = 64;
 /// The samples whose median is the first one.
 const FIRST: usize = 15;
@@ -34,7 +34,7 @@ const FIRST: usize = 15;
 pub struct SegmentClock {
     /// The period, ns.
     pub period_ns: u64,
-    /// Its intended value at slot 0 of the grid.
+    /// The intended value at slot 0 of the grid.
     origin_ns: u64,
     /// The offset of SYNC0 in the periods of the segment's time.
     pub phase_ns: u64,
@@ -75,7 +75,7 @@ impl SegmentClock {
         }
     }
 
-    /// Its value at slot 0 is about `today_ns`, the date, unless the date is not known to the computer.
+    /// The value at slot 0 is about `today_ns`, the date, unless the date is not known to the computer.
     pub fn begin(&mut self, today_ns: u64) {
         let target = self.origin_ns % self.period_ns;
         self.origin_ns = today_ns.max(ORIGIN_NS).next_multiple_of(self.period_ns) + target;
@@ -259,7 +259,7 @@ mod tests {
     }
 
     #[test]
-    fn its_time_begins_at_the_date_and_sync0_stays_where_it_was() {
+    fn dc_time_begins_at_the_date_and_sync0_keeps_its_phase() {
         for (today, least) in [(757_382_400_123_456_789, 757_382_400_123_456_789), (5, ORIGIN_NS)] {
             let mut clock = SegmentClock::new(MS, 400 * US);
             let cycle = cycle(0);
@@ -271,7 +271,7 @@ mod tests {
     }
 
     #[test]
-    fn whole_periods_of_a_clock_that_others_have_set_are_no_error() {
+    fn whole_periods_of_a_clock_set_by_others_are_no_error() {
         let mut clock = SegmentClock::new(MS, 500 * US);
         let wanted = clock.time(&cycle(0), cycle(0).grid);
         for late in [0, 3, 0, 700, 0, 0, 9_000, 9_000, 9_000, 0, 40, 0, 0, 0, 5_000] {
@@ -311,7 +311,7 @@ mod tests {
     }
 
     #[test]
-    fn it_is_locked_by_enough_good_samples_and_lost_by_as_many_bad_ones() {
+    fn clock_locks_by_enough_good_samples_and_is_lost_by_as_many_bad_ones() {
         let mut clock = seen(250 * US, 100 * US, 0);
         let mut locked = |off, count| {
             feed(&mut clock, std::iter::repeat_n(off, count));

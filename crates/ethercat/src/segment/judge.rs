@@ -37,7 +37,7 @@ fn take(slave: &Slave, al: AlState, back: &Back<'_>, handler: &mut impl Handler)
     }
 }
 
-/// What a frame shows of a slave in operation, and its owner: all that is read from cycle to cycle.
+/// The part of a frame on a slave in operation, and its owner: all that is read from cycle to cycle.
 #[derive(Debug)]
 struct View {
     owner: Owner,
@@ -94,7 +94,7 @@ impl Slaves {
         self.iter().for_each(|slave| slave.memory(regions));
     }
 
-    /// What a frame shows of these, if all of them are in OP, without an error.
+    /// The state of these in a frame, if all of them are in OP, without an error.
     #[inline]
     fn in_operation(&self, range: Range<usize>, received: &[u8]) -> Option<&[View]> {
         let views = self.views.get(range)?;
@@ -124,7 +124,7 @@ enum Verdict {
 pub struct FrameState {
     /// The slaves whose process data it carries.
     range: Range<usize>,
-    /// Its working counter when all of them are in operation.
+    /// The working counter when all of them are in operation.
     full: u16,
     /// How often it was unsound recently.
     unsound: u8,

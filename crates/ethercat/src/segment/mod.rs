@@ -42,13 +42,13 @@ pub trait Handler {
     /// The mailbox of a slave.
     fn service(&mut self, owner: Owner) -> Option<&mut Service>;
 
-    /// Its turn has come: its mailbox, which takes the requests that were posted meanwhile.
+    /// The turn has come: its mailbox, which takes the requests that were posted meanwhile.
     fn advance(&mut self, owner: Owner, now: Time) -> Option<&mut Service>;
 
-    /// Its replies count from now on, in this state, or not any more.
+    /// The replies count from now on, in this state, or not any more.
     fn state(&mut self, owner: Owner, state: SlaveState);
 
-    /// Its own values of objects that its outputs carry.
+    /// The own values of objects that its outputs carry.
     fn own_values(&mut self, owner: Owner, values: &[Start]);
 
     /// The answers to the request of its mailbox.
@@ -87,7 +87,7 @@ pub trait Handler {
 pub struct SlaveState {
     /// `None`: below SAFEOP, or not on the segment.
     pub al: Option<AlState>,
-    /// Its watchdog is set as configured; otherwise it was found with another one, and left so.
+    /// The watchdog is set as configured; otherwise it was found with another one, and left so.
     pub is_watched: bool,
     /// It was found in this mode of operation, and left so.
     pub found_mode: Option<Mode>,
@@ -109,21 +109,21 @@ pub struct Taken<'a> {
 /// The slaves of one segment.
 #[derive(Debug, Default)]
 pub struct Segment {
-    /// Its slaves, in the order of the plan.
+    /// The slaves, in the order of the plan.
     pub slaves: Slaves,
     frames: Box<[FrameState]>,
     /// The time of the segment.
     pub clock: SegmentClock,
     /// The slave whose clock is the segment's, or is to be.
     reference: Option<usize>,
-    /// Its clock leads the grid; otherwise it receives the grid's time.
+    /// The clock leads the grid; otherwise it receives the grid's time.
     pub leads: bool,
     /// The reference's time goes to all.
     pub timed: bool,
     topology: Topology,
     /// Before that: the slave that was found running, and whose time the segment has.
     time_source: Option<usize>,
-    /// Whose turn it is; and among the slaves on their way up, whether this slot is for them.
+    /// The slave whose turn it is; and among the slaves on their way up, whether this slot is for them.
     turn: usize,
     climb: usize,
     climbs: bool,
@@ -137,7 +137,7 @@ pub struct Segment {
     pub lowered: bool,
     /// Why its slaves are not in operation.
     pub notes: Notes,
-    /// What is to be known of those that are.
+    /// The remarks on those that are.
     pub remarks: Notes,
     /// The same, of the objects that they do not take.
     pub further: Notes,
@@ -155,7 +155,7 @@ enum Requester {
 /// A frame that was sent.
 #[derive(Clone, Copy, Debug)]
 pub struct Sent {
-    /// Its cycle.
+    /// The cycle.
     pub cycle: Cycle,
     /// The instant.
     pub at: Time,
@@ -170,7 +170,7 @@ pub struct Back<'a> {
     pub frame: &'a Frame,
     /// When it was taken in.
     pub at: Time,
-    /// Its bytes.
+    /// The bytes.
     pub received: &'a [u8],
     /// The working counter of its process data.
     pub counter: u16,
@@ -279,7 +279,7 @@ impl Segment {
         self.reference = first(|slave| slave.clock_set).or_else(|| first(Slave::waits_for_clock));
     }
 
-    /// Its time goes to all, once it is known that no slave runs on another one.
+    /// The time goes to all, once it is known that no slave runs on another one.
     fn begin_time(&mut self) {
         let is_set = self.set_clock().is_some();
         self.timed = is_set && (self.timed || self.may_have_time());

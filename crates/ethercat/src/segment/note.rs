@@ -15,7 +15,7 @@ use fieldbeat_core::bus::notes::NoteCells;
 const OWN_STATUSES: u32 = 2 * object::MAILBOX;
 /// A code that no sheet names.
 const UNKNOWN: &str = "not known";
-/// What a slave waits for whose SYNC0 is away from the grid.
+/// The note on a slave whose SYNC0 is away from the grid.
 const MEETS: &str = "it waits for the grid to meet its SYNC0";
 
 /// Why a slave is not in operation. An object is its index and its subindex, so that each note fits a word.
@@ -28,9 +28,9 @@ pub enum Note {
     Absent,
     /// The same, although the broadcast counts so many slaves: more than are in front of it.
     Unreachable(u16),
-    /// Its SII cannot be read, or used.
+    /// The SII cannot be read, or used.
     Sii(Fault),
-    /// Its vendor is not the configured one.
+    /// The vendor is not the configured one.
     Vendor(u32),
     /// It is another product.
     Product(u32),
@@ -56,7 +56,7 @@ pub enum Note {
     NoIdentification,
     /// The slave there is the one of another position.
     WrongPlace(u16),
-    /// Its SII has a mailbox or process data elsewhere.
+    /// The SII has a mailbox or process data elsewhere.
     Start {
         /// 1 mailbox out, 2 in, 3 outputs, 4 inputs.
         usage: u8,
@@ -67,7 +67,7 @@ pub enum Note {
         /// The length there, bytes.
         length: u16,
     },
-    /// Its SII has another length of a mailbox or of process data.
+    /// The SII has another length of a mailbox or of process data.
     Length {
         /// As of [`Start`](Note::Start).
         usage: u8,
@@ -90,7 +90,7 @@ pub enum Note {
     State {
         /// The state.
         to: AlState,
-        /// Its AL status code.
+        /// The AL status code.
         code: AlCode,
     },
     /// The same, by a code that concerns its SyncManagers, and the configuration sets another control byte of its
@@ -98,7 +98,7 @@ pub enum Note {
     Control {
         /// As of [`State`](Note::State).
         to: AlState,
-        /// Its AL status code.
+        /// The AL status code.
         code: AlCode,
         /// The control byte as set.
         set: u8,
@@ -116,16 +116,16 @@ pub enum Note {
     StartUp {
         /// The index of the object.
         index: u16,
-        /// Its subindex.
+        /// The subindex.
         sub: u8,
         /// The abort code, or a status of the master.
         abort: AbortCode,
     },
-    /// Its own value of an object in its outputs cannot be read.
+    /// The own value of an object in its outputs cannot be read.
     OwnValue {
         /// The index of the object.
         index: u16,
-        /// Its subindex.
+        /// The subindex.
         sub: u8,
         /// The abort code.
         abort: AbortCode,
@@ -134,12 +134,12 @@ pub enum Note {
     Omitted {
         /// The index of the object.
         index: u16,
-        /// Its subindex.
+        /// The subindex.
         sub: u8,
         /// The abort code.
         abort: AbortCode,
     },
-    /// Its watchdog does not read back as set.
+    /// The watchdog does not read back as set.
     Watchdog,
     /// This one of its SyncManagers does not read back as set.
     Manager(u16),
@@ -161,12 +161,12 @@ pub enum Note {
     Differs {
         /// The index of the object.
         index: u16,
-        /// Its subindex.
+        /// The subindex.
         sub: u8,
-        /// Its value there.
+        /// The value there.
         found: u32,
     },
-    /// Its clock does not synchronise to the segment's.
+    /// The clock does not synchronise to the segment's.
     Unsettled,
     /// Another slave has its station address, and keeps it.
     AddressTwice,
@@ -174,7 +174,7 @@ pub enum Note {
     Unread {
         /// The index of the object.
         index: u16,
-        /// Its subindex.
+        /// The subindex.
         sub: u8,
         /// The time that each of the attempts had, ms.
         within_ms: u32,
@@ -183,7 +183,7 @@ pub enum Note {
     Unwritten {
         /// The index of the object.
         index: u16,
-        /// Its subindex.
+        /// The subindex.
         sub: u8,
         /// The time that each of the attempts had, ms.
         within_ms: u32,
@@ -373,7 +373,7 @@ impl Note {
     }
 }
 
-/// What a SyncManager is for.
+/// The purpose of a SyncManager.
 fn part(usage: u8) -> &'static str {
     ["", "mailbox out", "mailbox in", "outputs", "inputs"].get(usize::from(usage)).unwrap_or(&"a buffer")
 }

@@ -32,7 +32,7 @@ impl Sync0 {
         self.active & CYCLIC != 0
     }
 
-    /// Its SYNC0 has this period. Where in a period it comes is left to it: outputs count from the next one on.
+    /// The SYNC0 has this period. Where in a period it comes is left to it: outputs count from the next one on.
     pub fn has_period(self, period_ns: u64) -> bool {
         self.active & (CYCLIC | SYNC0) == CYCLIC | SYNC0 && u64::from(self.cycle_ns) == period_ns
     }
@@ -41,9 +41,9 @@ impl Sync0 {
 /// The state of its clock.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Running {
-    /// Its cyclic unit.
+    /// The cyclic unit.
     pub sync: Sync0,
-    /// Its time as the frame passed it: the lower half.
+    /// The time as the frame passed it: the lower half.
     pub time: u32,
 }
 
@@ -83,7 +83,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_too_short_is_no_clock() {
+    fn a_datagram_that_is_too_short_is_no_clock_sample() {
         let answers = |sync, time| {
             let of = |data| Some(Answer { working_counter: 1, data });
             [of(sync), of(time)]

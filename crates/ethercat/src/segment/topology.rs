@@ -34,7 +34,7 @@ struct Behind {
     port: usize,
 }
 
-/// What is behind one port: how many slaves have no other one with receive times before them, and the time that a
+/// The slaves behind one port: how many of them have no other one with receive times before them, and the time that a
 /// frame spends in and behind all of these, ns.
 #[derive(Clone, Copy, Debug, Default)]
 struct Branch {
@@ -47,15 +47,15 @@ struct Branch {
 struct Node {
     /// It has receive times.
     timed: bool,
-    /// Its open ports but the entry, and when the frame was back at each of them, since it came in, ns; first of all
+    /// The open ports but the entry, and when the frame was back at each of them, since it came in, ns; first of all
     /// the entry itself.
     exits: usize,
     back_ns: [u32; 4],
     parent: Option<usize>,
-    /// So many of the exits have their slaves.
+    /// The number of exits that have their slaves.
     used: usize,
     behind: Option<Behind>,
-    /// What is behind each exit; and the same, as far as it was passed on.
+    /// The slaves behind each exit; and the same, as far as it was passed on.
     branches: [Branch; 3],
     passed: [Branch; 3],
     delay_ns: u32,

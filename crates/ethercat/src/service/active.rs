@@ -19,7 +19,7 @@ pub struct Active {
     /// It began then, and has to end within this time, ns.
     pub(super) begun: Time,
     limit_ns: u64,
-    /// Its present request is under way since then.
+    /// The present request is under way since then.
     pub(super) since: Time,
     /// How often it was begun.
     pub(super) attempts: u8,
@@ -48,7 +48,7 @@ impl Active {
         matches!(self.by, By::Nobody)
     }
 
-    /// Its whole time has passed.
+    /// The whole time has passed.
     pub(super) fn is_over(&self, now: Time) -> bool {
         now.since(self.begun) > self.limit_ns
     }
@@ -76,7 +76,7 @@ impl Active {
     }
 }
 
-/// Its owner.
+/// The owner.
 #[derive(Clone, Copy, Debug)]
 pub enum By {
     /// The master.

@@ -22,7 +22,7 @@ pub struct Counts {
 /// How it counts its answers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Counting {
-    /// So many returned ones in a row, up to [`RETURNED`]; `missed`: then another one came.
+    /// The number of returned ones in a row, up to [`RETURNED`]; `missed`: then another one came.
     Returned { so_far: u8, missed: bool },
     /// It counts its own messages.
     Own,

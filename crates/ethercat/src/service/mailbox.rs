@@ -122,7 +122,7 @@ enum Reading {
     There(usize),
     /// It may have been taken by a frame that was lost.
     Lost,
-    /// Its repetition is to be requested, by this toggle.
+    /// The repetition is to be requested, by this toggle.
     Repeat { toggle: u8, since: Time },
     /// It was requested, and the slave has not acknowledged it yet.
     Repeated { toggle: u8, since: Time },
@@ -211,7 +211,7 @@ impl Mailbox {
         usize::from(self.out.length).min(OUT_MAX)
     }
 
-    /// Its requests have room for this. A mailbox of one SDO has expedited ones only (EtherCAT manual, "Mail Input").
+    /// The requests have room for this. A mailbox of one SDO has expedited ones only (EtherCAT manual, "Mail Input").
     pub(super) fn takes(&self, sdo: &Sdo) -> bool {
         self.room() > SDO_SIZE || !sdo.is_long_write()
     }
@@ -288,7 +288,7 @@ impl Mailbox {
         self.counted = true;
     }
 
-    /// Its request for the next slot.
+    /// The request for the next slot.
     #[inline]
     pub(super) fn request(&mut self, now: Time, ask: &mut Ask) {
         self.pending = None;

@@ -53,7 +53,7 @@ const ANSWER_TURNS: u64 = 12;
 /// The mailbox of one slave.
 #[derive(Debug)]
 pub struct Service {
-    /// Its conversation; `None`: the slave has no mailbox.
+    /// The conversation; `None`: the slave has no mailbox.
     pub mailbox: Option<Mailbox>,
     calls: Calls,
     open: bool,
@@ -260,7 +260,7 @@ impl Service {
         }
     }
 
-    /// Its answer was lost, and does not come again. What the application writes is not written twice without its
+    /// The answer was lost, and does not come again. What the application writes is not written twice without its
     /// knowledge: the same value may do something each time.
     fn answer_lost(&mut self, now: Time) {
         let awaits = self.mailbox.as_ref().is_some_and(Mailbox::awaits);
@@ -272,7 +272,7 @@ impl Service {
         }
     }
 
-    /// Its answer was lost, or is late: the transfer begins anew, as often as it may.
+    /// The answer was lost, or is late: the transfer begins anew, as often as it may.
     fn repeat(&mut self, now: Time) {
         // Its power may have come on meanwhile.
         let call = self.active.as_ref().and_then(Active::call);

@@ -35,7 +35,7 @@ pub struct Sdo {
 pub enum Failure {
     /// The slave refused.
     Abort(AbortCode),
-    /// What it answered cannot be used, or it does not empty its mailbox: one of the statuses of the master.
+    /// The answer cannot be used, or the slave does not empty its mailbox: one of the statuses of the master.
     Unusable(u32),
     /// It was not carried on, since the slave did not answer, or the mailbox was closed.
     GivenUp(CallError),
@@ -44,7 +44,7 @@ pub enum Failure {
 /// How a transfer ends.
 pub type End = Result<(), Failure>;
 
-/// Its answer cannot be used, with this status of the master.
+/// The answer cannot be used, with this status of the master.
 pub(super) fn unusable(status: u32) -> Option<End> {
     Some(Err(Failure::Unusable(status)))
 }
@@ -78,7 +78,7 @@ impl Sdo {
         self.writes && self.size.is_some_and(|size| size > EXPEDITED_MAX)
     }
 
-    /// Its object.
+    /// The object.
     pub(super) fn object(&self) -> Object {
         self.object
     }

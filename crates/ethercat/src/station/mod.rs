@@ -39,7 +39,7 @@ const NAMED_WITHIN_NS: u64 = 100 * MS;
 const NAMED_TURNS: u64 = 6;
 const ANY_ERROR: u16 = 0x1000;
 
-/// What was read of the faults of a drive since it was switched on.
+/// The faults of a drive that were read since it was switched on.
 #[derive(Clone, Copy, Debug, Default)]
 struct Faults {
     /// The newest emergency that is no warning; code 0: none.
@@ -51,19 +51,19 @@ struct Faults {
 
 /// One drive as the master sees it.
 ///
-/// What every exchange touches is on four cache lines: two of `profile`, the one of the last report behind it, and the
+/// An exchange touches four cache lines: two of `profile`, the one of the last report behind it, and the
 /// one of what values are made with, which the front of `native` shares.
 #[derive(Debug)]
 #[repr(C, align(64))]
 pub struct Station {
     faults: Faults,
     pub(super) requests: Requests,
-    /// Its mailbox.
+    /// The mailbox.
     pub service: Service,
     named_within_ns: u64,
     /// A faster motion while it homes is not a valid velocity.
     most_velocity: f64,
-    /// Its setpoint is a position, and it reports its own.
+    /// The setpoint is a position, and it reports its own.
     has_place: bool,
     /// The slave's state; `None`: below SAFEOP, or not there.
     al: Option<AlState>,
@@ -72,7 +72,7 @@ pub struct Station {
     /// The application writes a parameter that may command the drive.
     commanded: bool,
     demand: Unwrap,
-    /// What is desired as process data, and what the inputs prove.
+    /// The desired state as process data, and the evidence of the inputs.
     pub profile: Profile,
     pub(super) sent_grid: Time,
     /// Since the last report nothing has changed that could show in the next one, if its status is the same: only
@@ -81,7 +81,7 @@ pub struct Station {
     /// The last position, and its slot of the grid; 0: there is none since the drive was switched on.
     last: i64,
     last_grid: Time,
-    /// What was read last.
+    /// The inputs that were read last.
     inputs: Inputs,
     /// User units per count.
     unit_per_count: f64,
@@ -155,7 +155,7 @@ impl Station {
         self.service.memory(regions);
     }
 
-    /// What changed is taken into account with the next report.
+    /// Lets the next report take changes into account.
     pub fn unsettle(&mut self) {
         self.steady_until = Time(0);
     }
@@ -231,7 +231,7 @@ impl Station {
         self.sent_grid = self.profile.grid;
     }
 
-    /// Its own SDOs advance once an exchange was sent: their results hold for all builds of the next one.
+    /// The own SDOs advance once an exchange was sent: their results hold for all builds of the next one.
     #[inline(never)]
     fn request(&mut self) {
         if self.al.is_none() {
@@ -316,7 +316,7 @@ impl Station {
         }
     }
 
-    /// Its mailbox was read: takes the next emergency, if the previous one was reported. A warning, a fault, or the
+    /// The mailbox was read: takes the next emergency, if the previous one was reported. A warning, a fault, or the
     /// end of one.
     pub fn mailbox_received(&mut self, slot: &mut Slot) {
         if slot.notices.has_emergency() {
@@ -408,7 +408,7 @@ impl Station {
         }
     }
 
-    /// What changes from report to report.
+    /// Takes the values that change from report to report.
     #[inline(always)] // It has two callers, and is most of what the usual one does.
     fn report_values(&mut self, at: Time, received: &[u8], slot: &mut Slot) {
         let Slot { status: report, notices, evidence, .. } = slot;
@@ -496,7 +496,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_every_report_touches_is_on_two_cache_lines_behind_those_of_the_profile() {
+    fn a_report_touches_two_cache_lines_behind_those_of_the_profile() {
         use std::mem::offset_of;
         let begin = offset_of!(Station, sent_grid);
         assert_eq!((begin % 64, offset_of!(Station, profile) + size_of::<Profile>()), (0, begin));

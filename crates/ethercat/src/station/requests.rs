@@ -68,9 +68,9 @@ pub struct Requests {
     display: Display,
     /// The method was written for this homing.
     method_written: bool,
-    /// Its encoder is absolute: it always has its reference.
+    /// The encoder is absolute: it always has its reference.
     absolute: bool,
-    /// What a homing has left; `None`: not known.
+    /// The reference that a homing has left; `None`: not known.
     pub(super) reference: Option<Reference>,
     /// The last homing was attained, by bit 12 of its status word: what counts for a drive without 1002h.
     pub(super) attained: bool,
@@ -128,7 +128,7 @@ impl Requests {
         self.next_show = self.next_shown().map_or(Time(u64::MAX), |_| from);
     }
 
-    /// Its reference may have changed.
+    /// The reference may have changed.
     pub(super) fn request_reference(&mut self) {
         if self.absolute {
             return;

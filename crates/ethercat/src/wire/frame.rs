@@ -93,12 +93,12 @@ pub enum Command {
 }
 
 impl Command {
-    /// Its number on the wire.
+    /// The number on the wire.
     pub const fn number(self) -> u8 {
         self.parts().0
     }
 
-    /// Its four bytes of address, as one number: for all but logical ones the station or position, and the register
+    /// The four bytes of address, as one number: for all but logical ones the station or position, and the register
     /// in the upper half.
     pub const fn address(self) -> u32 {
         self.parts().1
@@ -159,7 +159,7 @@ pub const fn position(index: u16) -> u16 {
 /// The offsets of a datagram in its frame. They are fixed: a frame is built once and sent again with other data.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Place {
-    /// Its first byte.
+    /// The first byte.
     pub at: usize,
     /// Bytes of its data.
     pub length: usize,
@@ -198,7 +198,7 @@ impl<'a> Builder<'a> {
         Some(Builder { out, end: HEADER, last: None, count: 0 })
     }
 
-    /// So many bytes of data would still fit in one more datagram; `None`: no datagram would.
+    /// The number of bytes of data that would still fit in one more datagram; `None`: no datagram would.
     pub fn room(&self) -> Option<usize> {
         let left = self.out.len().checked_sub(self.end + DATAGRAM_HEADER + WORKING_COUNTER)?;
         (self.count < DATAGRAMS_MAX).then_some(left)
@@ -310,7 +310,7 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn its_reply_is_read_byte_by_byte() {
+    fn a_reply_frame_is_parsed_byte_by_byte() {
         let frame = bytes(RETURNED);
         let read: Vec<_> = datagrams(&frame).unwrap().map(Result::unwrap).collect();
         let commands: Vec<_> = read.iter().map(|datagram| datagram.command().unwrap()).collect();
@@ -343,7 +343,7 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn what_does_not_fit_is_not_begun() {
+    fn a_datagram_that_does_not_fit_is_not_begun() {
         let mut out = [0; 2_000];
         let mut frame = Builder::new(&mut out, BROADCAST, [0; 6]).unwrap();
         assert_eq!(frame.room(), Some(DATA_MAX));

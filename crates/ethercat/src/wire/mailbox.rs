@@ -108,7 +108,7 @@ pub enum Message<'a> {
 pub struct MailboxError(pub u16);
 
 impl MailboxError {
-    /// Its meaning; `None`: an unknown one.
+    /// The meaning; `None`: an unknown one.
     pub const fn name(self) -> Option<&'static str> {
         Some(match self.0 {
             1 => "syntax of the header",

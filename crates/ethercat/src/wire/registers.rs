@@ -100,7 +100,7 @@ pub enum AlState {
 }
 
 impl AlState {
-    /// Its number on the wire.
+    /// The number on the wire.
     pub const fn number(self) -> u8 {
         self as u8
     }
@@ -186,7 +186,7 @@ impl AlCode {
         matches!(self, AlCode::SYNC_MANAGER | AlCode(0x001D | 0x001F))
     }
 
-    /// Its meaning; `None`: a manufacturer's own.
+    /// The meaning; `None`: a manufacturer's own.
     pub const fn name(self) -> Option<&'static str> {
         Some(match self.0 {
             0x0000 => "no error",
@@ -297,7 +297,7 @@ impl Difference {
 pub struct SyncManager {
     /// Where it begins.
     pub start: u16,
-    /// Its bytes.
+    /// The bytes.
     pub length: u16,
     /// Mode, direction, interrupts, watchdog.
     pub control: u8,
@@ -361,7 +361,7 @@ impl SyncManager {
 pub struct Fmmu {
     /// Where it begins in the logical space.
     pub logical: u32,
-    /// Its bytes.
+    /// The bytes.
     pub length: u16,
     /// The first bit of the first byte, and the last one of the last byte.
     pub bits: (u8, u8),

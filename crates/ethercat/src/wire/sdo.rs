@@ -84,7 +84,7 @@ pub enum Request<'a> {
         object: Object,
         /// The value, the lowest byte first.
         value: [u8; EXPEDITED_MAX],
-        /// Its bytes, 1 ... 4.
+        /// The bytes, 1 ... 4.
         length: u8,
     },
     /// Begins to write more.
@@ -104,7 +104,7 @@ pub enum Request<'a> {
         toggle: bool,
         /// None follows.
         last: bool,
-        /// Its data.
+        /// The data.
         data: &'a [u8],
     },
     /// Aborts a transfer.
@@ -117,7 +117,7 @@ pub enum Request<'a> {
 }
 
 impl Request<'_> {
-    /// Its bytes.
+    /// The bytes.
     pub const fn size(&self) -> usize {
         match self {
             Request::DownloadBegin { data, .. } => SIZE + data.len(),
@@ -190,7 +190,7 @@ pub enum Response<'a> {
         toggle: bool,
         /// None follows.
         last: bool,
-        /// Its data.
+        /// The data.
         data: &'a [u8],
     },
     /// A write is done, or begun.
@@ -270,7 +270,7 @@ impl AbortCode {
     pub const NOT_COMPLETE: AbortCode = AbortCode(0x0601_0004);
     /// There is no such object.
     pub const NO_OBJECT: AbortCode = AbortCode(0x0602_0000);
-    /// Its length differs.
+    /// The length differs.
     pub const LENGTH: AbortCode = AbortCode(0x0607_0010);
     /// There is no such subindex.
     pub const NO_SUB: AbortCode = AbortCode(0x0609_0011);
@@ -286,7 +286,7 @@ impl AbortCode {
         matches!(self, AbortCode::NO_OBJECT | AbortCode::NO_SUB | AbortCode::READ_ONLY | AbortCode::ACCESS)
     }
 
-    /// Its meaning; `None`: an unknown one.
+    /// The meaning; `None`: an unknown one.
     pub const fn name(self) -> Option<&'static str> {
         Some(match self.0 {
             0x0503_0000 => "a segment came twice, or one is missing",

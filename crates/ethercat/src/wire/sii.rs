@@ -48,7 +48,7 @@ pub enum Fault {
     Refused,
     /// The slave has not loaded it.
     Unloaded,
-    /// Its checksum is wrong.
+    /// The checksum is wrong.
     Checksum,
     /// It returns data of another address.
     Address,
@@ -121,18 +121,18 @@ impl Protocols {
 /// The identity of a slave.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub struct Identity {
-    /// Its vendor.
+    /// The vendor.
     pub vendor: u32,
-    /// Its product code.
+    /// The product code.
     pub product: u32,
-    /// Its revision.
+    /// The revision.
     pub revision: u32,
 }
 
 /// A category of the SII.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Category {
-    /// Its type.
+    /// The type.
     pub kind: u16,
     /// Words of it.
     pub words: u16,

@@ -32,7 +32,7 @@ struct Wire {
     line: Segment,
     now: Time,
     waiting: VecDeque<Vec<u8>>,
-    /// What was sent, as it was sent.
+    /// The sent frames, as they were sent.
     sent: Vec<Vec<u8>>,
     /// Happens with the frame of this number.
     event: Option<(usize, Event)>,
@@ -157,7 +157,7 @@ fn line() -> Wire {
 }
 
 #[test]
-fn all_of_a_line_is_told() {
+fn every_step_of_a_segment_is_reported() {
     let slaves = line().scan(Options::default()).unwrap();
     let [coupler, drive, last] = &slaves[..] else { panic!("{slaves:?}") };
     assert_eq!([coupler, drive, last].map(|slave| slave.place), [0, 1, 2]);
@@ -199,7 +199,7 @@ fn running() -> Wire {
 }
 
 #[test]
-fn a_drive_that_works_is_told_as_it_is_set_and_left_alone() {
+fn a_working_drive_is_reported_as_set_and_left_alone() {
     let mut wire = running();
     let before = wire.sent.len();
     let slaves = wire.scan(Options::default()).unwrap();
@@ -232,7 +232,7 @@ fn a_drive_that_works_is_told_as_it_is_set_and_left_alone() {
 }
 
 #[test]
-fn its_sii_is_read_when_asked_for_and_given_back() {
+fn the_sii_is_read_on_request_and_its_access_given_back() {
     let mut wire = running();
     let slaves = wire.scan(Options { sii: true }).unwrap();
     assert_eq!(slaves[1].sii.as_ref().unwrap().identity, S700);
@@ -285,7 +285,7 @@ fn an_eeprom_may_take_its_time_or_be_of_no_use() {
 }
 
 #[test]
-fn lost_frames_are_sent_again_and_what_does_not_work_is_told_by_its_name() {
+fn lost_frames_are_sent_again_and_failures_are_reported_by_name() {
     let none = Options::default();
     let with = |change: fn(&mut Wire)| {
         let mut wire = line();

@@ -29,14 +29,14 @@ use fieldbeat_ethercat::wire::registers::{AlState, address};
 use fieldbeat_sim::SimSegment;
 use fieldbeat_sim::ethercat::{self, Coupler, Esc, EthercatSegment, EthercatSim, Settings};
 
-/// What is done with a slave, and how far it is, for people.
+/// The step of a slave, and how far it is, for people.
 fn at(slave: &Slave) -> String {
     let all = format!("{slave:?}");
     let (_, from) = all.split_once("step: ").unwrap();
     format!("{} {:?}", from.split_once(", since: ").unwrap().0, slave.way)
 }
 
-/// What the segment reported to its handler.
+/// The segment's reports to its handler.
 #[derive(Default)]
 struct Reports {
     states: Vec<(Owner, Option<AlState>)>,
@@ -106,7 +106,7 @@ struct Rig {
     lossy: bool,
     /// The next frame comes back when it is requested.
     late: bool,
-    /// What is requested of the slave at this position comes back as if it had not been there.
+    /// Requests to the slave at this position come back as if it had not been there.
     mute: Option<u16>,
     held: Option<(Sent, Vec<u8>, u16)>,
 }
@@ -447,7 +447,7 @@ fn drives_in_op_with_the_addresses_of_other_places_are_taken_by_their_places() {
 }
 
 #[test]
-fn what_was_requested_before_the_end_is_not_taken_for_the_answer_to_it() {
+fn an_earlier_state_is_no_answer_to_the_last_request() {
     // At each step of the way the end comes while a frame is under way, and is taken in only behind it.
     for cycles in 5..250 {
         let mut rig = Rig::new(&drives(1));
@@ -481,7 +481,7 @@ fn a_slave_whose_state_no_frame_shows_is_not_operational_below_op() {
 }
 
 #[test]
-fn an_address_of_ours_is_taken_from_whoever_has_it() {
+fn a_station_address_of_ours_is_taken_from_any_other_slave() {
     let mut rig = Rig::on(&drives(1), drives(2));
     rig.poke(1, address::STATION, &FIRST_STATION.to_le_bytes());
     rig.all_up(4_000);

@@ -35,7 +35,7 @@ use fieldbeat_sim::ethercat::{Application, Dialect, Drive, DriveSettings, Esc, S
 const STATION: u16 = 0x1001;
 const LIMIT: Duration = Duration::from_secs(1);
 
-/// What becomes of a frame.
+/// The fate of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Fate {
     Returns,
@@ -55,14 +55,14 @@ struct Bench {
     guarded: bool,
     /// Of the next frames that carry something.
     fates: Vec<Fate>,
-    /// What was requested, frame by frame.
+    /// The requests, frame by frame.
     frames: Vec<Vec<Command>>,
     repeat: Repeat,
     /// The last repeat request that it acknowledged and did not carry out.
     toggle: u8,
 }
 
-/// What a slave does with repeat requests.
+/// The reaction of a slave to repeat requests.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Repeat {
     /// It sends the message again.
@@ -300,7 +300,7 @@ fn no_lost_frame_changes_what_comes_of_a_transfer() {
 }
 
 #[test]
-fn an_answer_whose_frame_was_lost_is_asked_for_again() {
+fn an_answer_whose_frame_was_lost_is_requested_again() {
     let mut bench = Bench::drive(|_| {});
     bench.read(MODE).unwrap();
     // The second time the toggle goes back.

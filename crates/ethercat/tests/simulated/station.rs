@@ -25,7 +25,7 @@ const STOP: Command = Command::Stop { deceleration: None };
 const PROFILE: Profile = Profile { velocity: 1.0, acceleration: 10.0, deceleration: 10.0 };
 
 #[test]
-fn nothing_is_written_but_neutral_outputs_before_the_first_order() {
+fn outputs_stay_neutral_before_the_first_command() {
     let mut rig = Rig::new(position());
     assert!(!rig.station.profile.writes());
     rig.turns(100);
@@ -68,7 +68,7 @@ fn enable_goes_from_state_to_state_each_seen() {
 }
 
 #[test]
-fn what_it_cannot_do_is_refused_at_once_by_name() {
+fn unsupported_commands_are_refused_at_once_by_name() {
     let unsupported = |rig: &mut Rig, command| {
         rig.order(command);
         rig.prepare();
@@ -381,7 +381,7 @@ fn a_homing_that_is_stopped_or_fails_leads_back_to_its_own_mode() {
 }
 
 #[test]
-fn a_drive_that_falls_to_safeop_is_not_told_as_enabled_and_does_not_come_back_by_itself() {
+fn a_drive_that_falls_to_safeop_is_not_reported_as_enabled_and_does_not_come_back_by_itself() {
     let mut rig = Rig::enabled(velocity());
     rig.order(Rig::jog(1.0));
     rig.turns(200);
@@ -429,7 +429,7 @@ fn native_outputs_go_out_as_they_are_and_the_master_keeps_its_control_word() {
 }
 
 #[test]
-fn objects_are_shown_in_turns_and_a_refusal_is_told_once() {
+fn objects_are_shown_in_turns_and_a_refusal_is_reported_once() {
     let mut plan = velocity();
     plan.show[0] = Some(Entry { object: Object::new(0x6061, 0), kind: Type::I8 });
     plan.show[2] = Some(Entry { object: Object::new(0x5FFF, 0), kind: Type::I32 });

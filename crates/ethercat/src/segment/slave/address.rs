@@ -28,7 +28,7 @@ impl Slave {
         !self.way.addressed && !is_looked_at && self.counted != counted
     }
 
-    /// What is read at its position counts not, and what was written there may have reached another slave.
+    /// Drops what was read at its position; what was written there may have reached another slave.
     pub(super) fn elsewhere(&mut self, now: Time) {
         match self.step {
             Step::Unaddress | Step::Unmap(_) | Step::Clear(_) | Step::Address { .. } => {
@@ -144,7 +144,7 @@ impl Slave {
         self.step = Step::Refused(pause);
     }
 
-    /// So many of its FMMUs have been cleared.
+    /// `done` of its FMMUs have been cleared.
     pub(super) fn unmapped(&mut self, now: Time, done: u8) {
         if done < self.fmmus && !self.may_be_found() {
             self.enter(now, Step::Unmap(done));
@@ -163,7 +163,7 @@ impl Slave {
         }
     }
 
-    /// Its station address was written, and read from whoever has it.
+    /// The station address was written, and read from whoever has it.
     pub(super) fn was_addressed(&mut self, now: Time, read: Option<Answer<'_>>, joins: bool) {
         let Some(read) = read else { return };
         if read.working_counter > 1 {

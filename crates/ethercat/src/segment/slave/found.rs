@@ -28,7 +28,7 @@ impl Slave {
         self.way.al == Some(AlState::Op) && !self.is_device()
     }
 
-    /// Its SyncManagers and watchdog.
+    /// The SyncManagers and watchdog.
     pub(super) fn found(&mut self, now: Time, answers: &Answers<'_>) {
         let [Some(managers), Some(watchdogs)] = answers else { return };
         let arms = |found: SyncManager, wanted: SyncManager| found.control == wanted.control;
@@ -65,7 +65,7 @@ impl Slave {
         self.way.al = runs.then_some(AlState::Op);
     }
 
-    /// Its FMMUs: those of its inputs replace none that another master writes by.
+    /// The FMMUs: those of its inputs replace none that another master writes by.
     pub(super) fn found_fmmus(&mut self, now: Time, data: &[u8]) {
         let behind = data.as_chunks::<{ Fmmu::SIZE }>().0.iter().skip(self.output_fmmus());
         let written = behind.map(|bytes| Fmmu::new(*bytes));

@@ -9,7 +9,7 @@ use fieldbeat_core::time::{MS, Time};
 const UP_FOR_NS: u64 = 10 * MS;
 
 impl Slave {
-    /// Its AL status in a frame that has come back; 0: it took no part. Without an FMMU for that, its last known
+    /// The AL status in a frame that has come back; 0: it took no part. Without an FMMU for that, its last known
     /// state, if there is anything of its inputs.
     #[inline]
     pub fn shown_in(&self, received: &[u8]) -> AlStatus {
@@ -25,7 +25,7 @@ impl Slave {
         received.get(self.offsets.inputs.clone()).unwrap_or_default().iter().any(|byte| *byte != 0)
     }
 
-    /// Its possible share of the working counter of such a frame, at least and at most.
+    /// The possible share of the working counter of such a frame, at least and at most.
     #[inline]
     pub fn counts(&self) -> (u16, u16) {
         let inputs = u16::from(self.has_al || !self.plan.inputs.is_empty());
@@ -51,7 +51,7 @@ impl Slave {
         self.wants_nothing() && self.way.was_operational && (self.way.al, self.reported) == (OP, OP)
     }
 
-    /// What it adds to the working counter when it is steady.
+    /// The part of the working counter that it adds when it is steady.
     #[inline]
     pub fn full(&self) -> u16 {
         1 + self.written()
@@ -73,7 +73,7 @@ impl Slave {
         was_up && now.since(self.since) > UP_FOR_NS && is_below && !self.shown.error()
     }
 
-    /// Its image shows another state than before, or an error.
+    /// The image shows another state than before, or an error.
     pub fn show(&mut self, now: Time) {
         if !self.way.was_operational && !self.is_settled() {
             return;

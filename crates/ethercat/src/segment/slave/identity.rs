@@ -29,7 +29,7 @@ impl Slave {
         }
     }
 
-    /// Its SII has nothing against it.
+    /// The SII has nothing against it.
     pub(super) fn known_by_sii(&mut self, now: Time) {
         match self.plan.identity.identification {
             None => self.identified(now),
@@ -44,7 +44,7 @@ impl Slave {
         self.acknowledge.unwrap_or(AlStatus::request(self.way.al.unwrap_or_default()))
     }
 
-    /// Its AL status, in whose code the identification is once it says so.
+    /// The AL status, in whose code the identification is once it says so.
     pub(super) fn takes_identification(&mut self, context: &Context<'_>, answers: &Answers<'_>) {
         let (now, Some(wanted)) = (context.cycle.grid, self.plan.identity.identification) else { return };
         let shown = answers[1].and_then(|answer| al(answer.data));
@@ -58,7 +58,7 @@ impl Slave {
         self.enter(now, Step::Identified { refused });
     }
 
-    /// Its SII was given to the master: whether its processor has let it go.
+    /// The SII was given to the master: whether its processor has let it go.
     pub(super) fn took_sii(&mut self, now: Time, looks: u8, owner: Option<Answer<'_>>) {
         let is_processors =
             owner.is_none_or(|owner| owner.working_counter == 0 || sii::is_processors(owner.data));

@@ -73,7 +73,7 @@ const MANAGERS_AT_ONCE: u8 = 8;
 /// SyncManagers that are written, or read, in a slot.
 const MANAGERS_SET: u8 = 2;
 
-/// What a step has to know of the segment.
+/// The context of a step in the segment.
 #[derive(Clone, Copy, Debug)]
 pub struct Context<'a> {
     /// The cycle whose frame is built, or was received.
@@ -84,7 +84,7 @@ pub struct Context<'a> {
     pub clock: SegmentClock,
     /// The station address of the slave whose clock is the segment's, or is to be.
     pub reference: Option<u16>,
-    /// Its time goes to all.
+    /// The time goes to all.
     pub timed: bool,
     /// It does, or may begin to.
     pub may_begin: bool,
@@ -121,7 +121,7 @@ pub enum Mapped {
     All,
 }
 
-/// What happened to a slave that others have to know.
+/// The events of a slave that others have to know.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Happened {
     /// Nothing.
@@ -132,7 +132,7 @@ pub enum Happened {
     Error,
     /// It has lost its settings: it was switched off and on.
     Restarted,
-    /// What was written at its position may have reached another slave, behind it.
+    /// Data written at its position may have reached another slave, behind it.
     Misplaced,
     /// Another master has changed its state or its settings.
     Intruded,
@@ -140,14 +140,14 @@ pub enum Happened {
     GivesTime(u32),
 }
 
-/// What was reached on the way to OP. It begins anew with another one.
+/// The progress on the way to OP. It begins anew with another one.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Way {
     /// It has its station address, and is reached by it.
     pub addressed: bool,
-    /// Its process data are in the frames.
+    /// The process data are in the frames.
     pub mapped: Mapped,
-    /// Its mailbox can be used.
+    /// The mailbox can be used.
     pub mailbox_open: bool,
     /// How often its objects were begun.
     lists: u8,
@@ -157,7 +157,7 @@ pub struct Way {
     set_anew: u8,
     /// It has been in OP.
     was_operational: bool,
-    /// Its state, as far as is known; `None`: it is not there.
+    /// The state, as far as is known; `None`: it is not there.
     pub al: Option<AlState>,
 }
 
@@ -173,7 +173,7 @@ pub enum Runs {
     Apart,
 }
 
-/// What this master has made of a slave.
+/// The relation of this master to a slave.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 enum Tie {
     /// Nothing.
@@ -188,7 +188,7 @@ enum Tie {
 /// One slave of the segment.
 #[derive(Debug, Default)]
 pub struct Slave {
-    /// Its owner.
+    /// The owner.
     pub owner: Owner,
     /// The offsets of its process data.
     pub offsets: Offsets,
@@ -198,30 +198,30 @@ pub struct Slave {
     lrw: bool,
     /// Found running, and not to be joined, it is refused, and runs on; otherwise it is stopped.
     pub refuses_running: bool,
-    /// What is done with it at present.
+    /// The present step.
     step: Step,
     since: Time,
     silent: u8,
     /// How far it is.
     pub way: Way,
     features: Features,
-    /// Its controller copies AL control to AL status: it has no errors, and an acknowledgement would become one.
+    /// The controller copies AL control to AL status: it has no errors, and an acknowledgement would become one.
     emulated: bool,
-    /// Its alias when it was looked at, where it matters.
+    /// The alias when it was looked at, where it matters.
     alias: u16,
-    /// What acknowledges the error that it showed when it was looked at.
+    /// The acknowledgement of the error that it showed when it was looked at.
     acknowledge: Option<AlStatus>,
     fmmus: u8,
     managers: u8,
-    /// Its SyncManagers as its SII has them.
+    /// The SyncManagers as its SII has them.
     delivered: Managers,
-    /// Its AL status was read.
+    /// The AL status was read.
     pub has_al: bool,
     /// The mode that it showed then.
     pub found_mode: Option<Mode>,
-    /// Its watchdog is set as configured.
+    /// The watchdog is set as configured.
     pub watched: bool,
-    /// Its clock was set to the segment's, and it has not been away since.
+    /// The clock was set to the segment's, and it has not been away since.
     pub clock_set: bool,
     /// How much later than the first slave it receives, ns; `None`: it has been away since that was found.
     pub delay_ns: Option<u32>,
@@ -231,7 +231,7 @@ pub struct Slave {
     counted: u16,
     /// The same when it last answered by its own station address.
     counted_as_ours: u16,
-    /// What this master has made of it.
+    /// The relation of this master to it.
     tie: Tie,
     /// It was given its station address by this master, and as far as is known the same slave still has it.
     given: bool,
@@ -244,7 +244,7 @@ pub struct Slave {
     /// A factor for the next object, from the object that was read before.
     factor: u32,
     note: Note,
-    /// What is to be known of it although it is in operation.
+    /// The remark on it although it is in operation.
     pub remark: Note,
     /// The object that it was found not to take in PREOP.
     omitted: Note,
@@ -258,7 +258,7 @@ pub struct Slave {
     moved_at: Time,
     /// The state last reported.
     pub reported: Option<AlState>,
-    /// Its AL status in the newest frame; 0: none.
+    /// The AL status in the newest frame; 0: none.
     pub shown: AlStatus,
     /// It was in OP with all of its process data, which was reported, and the newest frame shows the same.
     pub steady: bool,
@@ -292,7 +292,7 @@ impl Slave {
         regions.add(&*self.plan.verify_found);
     }
 
-    /// Its station address.
+    /// The station address.
     pub fn station(&self) -> u16 {
         self.plan.station()
     }
@@ -341,7 +341,7 @@ impl Slave {
         matches!(self.step, Step::Time | Step::Offset(_))
     }
 
-    /// Its clock is not set yet: it settles while others are set up.
+    /// The clock is not set yet: it settles while others are set up.
     pub fn is_urgent(&self) -> bool {
         self.plan.sync && !self.clock_set && !matches!(self.step, Step::Rest(_) | Step::Refused(_) | Step::Up)
     }
@@ -422,13 +422,13 @@ impl Slave {
         self.start_over(now, LOOK_EVERY_NS, note);
     }
 
-    /// What was meant for another slave may have been written to it: it is looked at, and set up anew.
+    /// Data meant for another slave may have been written to it: it is looked at, and set up anew.
     pub fn doubted(&mut self, now: Time) {
         self.doubt();
         self.lost(now);
     }
 
-    /// Its settings may be others than those that were made here.
+    /// The settings may be others than those that were made here.
     fn doubt(&mut self) {
         self.tie = self.tie.min(Tie::Known);
     }

@@ -27,7 +27,7 @@ impl Slave {
         // AL control may still be unread by the firmware, and not accept a second request; usually nobody else has
         // its station address.
         let may_be_zero = match self.step {
-            Step::State(Change { phase: Phase::Asks, .. }) => true,
+            Step::State(Change { phase: Phase::Requests, .. }) => true,
             Step::SiiForce | Step::SiiTake { .. } | Step::SiiBack { .. } => true,
             Step::Identification | Step::Identified { .. } => true,
             Step::Sii(reader) => reader.writes(),
@@ -137,8 +137,8 @@ impl Slave {
         if change.phase != Phase::Waits {
             change.phase = match change.phase {
                 _ if first.working_counter == 0 => Phase::Looks,
-                Phase::Asks => Phase::Waits,
-                _ => Phase::Asks,
+                Phase::Requests => Phase::Waits,
+                _ => Phase::Requests,
             };
             self.step = Step::State(change);
             return Happened::Nothing;
@@ -150,7 +150,7 @@ impl Slave {
             return self.refused_state(now, change, status, code);
         }
         if change.acknowledge.take().is_some() {
-            change.phase = Phase::Asks;
+            change.phase = Phase::Requests;
         }
         self.step = Step::State(change);
         match status.state() {
@@ -178,7 +178,7 @@ impl Slave {
         }
         self.note = note;
         change.errors += 1;
-        (change.acknowledge, change.phase) = (Some(acknowledging(status)), Phase::Asks);
+        (change.acknowledge, change.phase) = (Some(acknowledging(status)), Phase::Requests);
         self.step = Step::State(change);
         Happened::Error
     }
@@ -240,7 +240,7 @@ impl Slave {
         if status.error() { Happened::Error } else { Happened::Nothing }
     }
 
-    /// What acknowledges the error in this status; `None`: it is none.
+    /// The acknowledgement of the error in this status; `None`: it is none.
     pub(super) fn acknowledgement(&self, status: AlStatus, code: AlCode) -> Option<AlStatus> {
         let is_error = status.error() && !self.emulated && code != AlCode::NONE;
         is_error.then(|| acknowledging(status))
@@ -253,7 +253,7 @@ pub(super) fn al(data: &[u8]) -> Option<(AlStatus, AlCode)> {
     Some((AlStatus(u16::from_le_bytes([low, high])), AlCode(u16::from_le_bytes([code_low, code_high]))))
 }
 
-/// What acknowledges the error in this status: its own state, and the bit.
+/// The acknowledgement of the error in this status: its own state, and the bit.
 fn acknowledging(status: AlStatus) -> AlStatus {
     AlStatus::request(status.state().unwrap_or_default()).acknowledge()
 }

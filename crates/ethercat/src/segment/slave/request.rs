@@ -269,7 +269,7 @@ impl Slave {
             let within_ms = u32::try_from(limit_ns / MS).unwrap_or(u32::MAX);
             return self.refuse(now, Note::Slow { to: change.to, within_ms });
         }
-        if change.phase != Phase::Asks {
+        if change.phase != Phase::Requests {
             return self.read(address::AL_STATUS, AL_LOOK, ask);
         }
         let control = change.acknowledge.unwrap_or(AlStatus::request(change.to));

@@ -13,7 +13,7 @@ use fieldbeat_core::time::Time;
 /// FMMUs that are read back: there are 16 at most (ETG.1000.4, 0600h ... 06FFh).
 const FMMUS_MOST: u8 = 16;
 
-/// What is read back, one part in a slot.
+/// The parts that are read back, one in a slot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd)]
 pub(super) enum Part {
     Managers,
@@ -61,7 +61,7 @@ impl Slave {
             && (is_lowered || is_same_line && !matches!(station, 0) && station != self.station())
     }
 
-    /// What was set up here is read back first.
+    /// Reads back first what was set up here.
     pub(super) fn check(&mut self, now: Time, resumes: Resumes) {
         self.check_after(now, resumes, None);
     }
@@ -117,7 +117,7 @@ impl Slave {
         Happened::Intruded
     }
 
-    /// Its FMMUs are those of the plan, and all others are off.
+    /// The FMMUs are those of the plan, and all others are off.
     fn has_fmmus(&self, data: &[u8]) -> bool {
         let (wanted, length) = self.fmmus();
         let is_off = |fmmu: &[u8; Fmmu::SIZE]| !Fmmu::new(*fmmu).active;

@@ -12,7 +12,7 @@ use crate::wire::sii::Use;
 /// Of a watchdog, 100 us.
 pub(super) const WATCHDOG_DIVIDER: u16 = 0x09C2;
 const WATCHDOG_TICK_NS: u64 = 100_000;
-/// Its time at power-on, 100 ms (ETG.1000.4, 6.2).
+/// The time at power-on, 100 ms (ETG.1000.4, 6.2).
 const WATCHDOG_DELIVERED: u16 = 1_000;
 /// From the divider of the watchdogs to that of the SyncManagers, bytes.
 pub(super) const WATCHDOGS: usize = (address::WATCHDOG - address::WATCHDOG_DIVIDER) as usize + 2;
@@ -42,7 +42,7 @@ impl Slave {
         Area::joined(&self.plan.outputs).count()
     }
 
-    /// Its FMMUs one after the other, and their length in bytes.
+    /// The FMMUs one after the other, and their length in bytes.
     pub(super) fn fmmus(&self) -> ([u8; FMMUS * Fmmu::SIZE], usize) {
         let logical = self.offsets.logical;
         let (mut bytes, mut length) = ([0; FMMUS * Fmmu::SIZE], 0);
@@ -172,7 +172,7 @@ impl Slave {
         }
     }
 
-    /// Its watchdog in ticks; 0: off.
+    /// The watchdog in ticks; 0: off.
     pub(super) fn watchdog(&self) -> u16 {
         match self.plan.watchdog {
             Watchdog::AsDelivered => WATCHDOG_DELIVERED,
@@ -239,7 +239,7 @@ pub(super) fn are_set(
     wanted.all(|(number, wanted)| found(number).is_some_and(|found| is_so(found, wanted)))
 }
 
-/// What the configuration has there and what the SII has; at 0 the one has none, or the other.
+/// The difference of the configuration and the SII there; at 0 the one has none, or the other.
 fn differing(usage: u8, own: Area, named: Area) -> Note {
     if own.start == named.start {
         Note::Length { usage, start: own.start, own: own.length, named: named.length }

@@ -22,13 +22,13 @@ pub(super) enum Step {
         place: u16,
     },
     Unaddress,
-    /// Its position was another one's when something was written there: whoever has its station address loses it.
+    /// The position was another one's when something was written there: whoever has its station address loses it.
     Misplaced,
     /// Whether it is there, although it did not answer.
     There(Missing),
-    /// Its FMMUs are cleared: those of another master may reach into the frames of this one.
+    /// The FMMUs are cleared: those of another master may reach into the frames of this one.
     Unmap(u8),
-    /// Its SII is taken from its processor: by force; to the master, until the slave shows that; and given back.
+    /// The SII is taken from its processor: by force; to the master, until the slave shows that; and given back.
     SiiForce,
     SiiTake {
         looks: u8,
@@ -38,7 +38,7 @@ pub(super) enum Step {
     SiiBack {
         refused: Note,
     },
-    /// It is asked for its identification, until it shows it; and the request is taken back. `refused`: as above.
+    /// The identification is requested until the slave shows it; then the request is taken back. `refused`: as above.
     Identification,
     Identified {
         refused: Note,
@@ -55,7 +55,7 @@ pub(super) enum Step {
     Join,
     Ports,
     Clear(u8),
-    /// Its station address is taken from whoever has it; set, and read. `joins`: of a drive in OP.
+    /// The station address is taken from whoever has it; set, and read. `joins`: of a drive in OP.
     Free {
         joins: bool,
     },
@@ -75,12 +75,12 @@ pub(super) enum Step {
     SyncManagers(u8),
     SyncManagersCheck(u8),
     Fmmus,
-    /// What was set up here is read back before it is resumed, this part of it.
+    /// The set-up is read back before it is resumed, this part of it.
     Check {
         resumes: Resumes,
         part: Part,
     },
-    /// Its time is read, its offset set by that, and corrected by what is left.
+    /// The time is read, its offset set by that, and corrected by what is left.
     Time,
     Offset(Setting),
     Correct(Setting),
@@ -100,7 +100,7 @@ pub(super) enum Step {
     State(Change),
     Lock,
     Up,
-    /// Its outputs are released.
+    /// The outputs are released.
     Release,
     /// It has reported an AL error in operation.
     Code,
@@ -117,7 +117,7 @@ pub(super) enum Resumes {
     SafeOp(Option<AlStatus>),
 }
 
-/// What its clock is set to.
+/// The setting of its clock.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Setting {
     /// The segment's time less its own, ns.
@@ -151,7 +151,7 @@ pub(super) struct Change {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Phase {
     /// It is to be requested.
-    Asks,
+    Requests,
     /// The request was not accepted: whether the slave is there at all.
     Looks,
     /// It was requested.
@@ -170,14 +170,14 @@ impl Step {
 
     /// The same, after the error that it shows was acknowledged.
     pub(super) fn acknowledged(state: AlState, acknowledge: Option<AlStatus>) -> Step {
-        Step::State(Change { to: state, phase: Phase::Asks, errors: 0, acknowledge })
+        Step::State(Change { to: state, phase: Phase::Requests, errors: 0, acknowledge })
     }
 }
 
 /// A request that was not carried out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Missing {
-    /// Its register.
+    /// The register.
     pub register: u16,
     /// It was a write.
     pub is_write: bool,

@@ -1,6 +1,6 @@
 //! The clock of a slave: set to the segment's, left to synchronise to it, and SYNC0 made of it.
 //!
-//! Its time is compared with that of the reference in the same frame, so that no lateness of a frame counts. While it
+//! The time is compared with that of the reference in the same frame, so that no lateness of a frame counts. While it
 //! is far from the segment's time its compensation runs at its limit, so its offset is corrected by what the
 //! difference is then: the compensation alone takes some thousand frames for that. It has those while the slave goes
 //! on to SAFEOP, and waits for the rest there.
@@ -44,7 +44,7 @@ pub(super) const TIME: usize = OFFSET_AT + 8;
 const OFFSET_AT: usize = (address::DC_OFFSET - address::DC_TIME) as usize;
 
 impl Slave {
-    /// Its clock is the segment's.
+    /// The clock is the segment's.
     pub(super) fn is_reference(&self, context: &Context<'_>) -> bool {
         context.reference == Some(self.station())
     }
@@ -58,7 +58,7 @@ impl Slave {
         }
     }
 
-    /// Its clock is set, or cannot be yet: it goes on.
+    /// The clock is set, or cannot be yet: it goes on.
     pub(super) fn continue_timed(&mut self, now: Time) {
         let next = match self.plan.mailbox {
             _ if self.way.mapped == Mapped::All => self.step_of_clock(),
@@ -106,7 +106,7 @@ impl Slave {
         }
     }
 
-    /// Its own time and offset, as this frame read them.
+    /// The own time and offset, as this frame read them.
     fn timed(&mut self, context: &Context<'_>, data: &[u8]) {
         let long = |at: usize| data.get(at..)?.first_chunk().map(|bytes| u64::from_le_bytes(*bytes));
         let (Some(shown), Some(before), Some(own_ns)) = (long(0), long(OFFSET_AT), self.delay_ns) else {
@@ -119,7 +119,7 @@ impl Slave {
         self.enter(context.cycle.grid, Step::Offset(Setting { offset, delay_ns, corrected: 0 }));
     }
 
-    /// Its difference to the reference with that offset.
+    /// The difference to the reference with that offset.
     fn corrected(&mut self, context: &Context<'_>, setting: Setting, data: &[u8]) {
         let now = context.cycle.grid;
         let Some(off) = difference_ns(data) else { return };
@@ -167,7 +167,7 @@ pub(super) fn sync_ahead_ns(context: &Context<'_>) -> u64 {
     SYNC_AHEAD_NS + SYNC_TURNS * context.turn_ns
 }
 
-/// Its difference to the reference, as its register has it.
+/// The difference to the reference, as its register has it.
 fn difference_ns(data: &[u8]) -> Option<i64> {
     data.first_chunk().map(|bytes| Difference(u32::from_le_bytes(*bytes)).ns())
 }

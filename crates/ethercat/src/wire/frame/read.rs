@@ -12,7 +12,7 @@ const KIND_MASK: u32 = 0xF000_FFFF;
 /// Why bytes are not a valid frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FrameError {
-    /// Its Ethertype or its type is another one.
+    /// The Ethertype or its type is another one.
     Foreign,
     /// It is too short, or a datagram does not end within it.
     Broken,
@@ -23,9 +23,9 @@ pub enum FrameError {
 pub struct Datagram<'a> {
     /// Where it stands.
     pub place: Place,
-    /// Its number on the wire; an unknown command is forwarded like `NOP`.
+    /// The number on the wire; an unknown command is forwarded like `NOP`.
     pub number: u8,
-    /// Its four bytes of address.
+    /// The four bytes of address.
     pub address: u32,
     /// As it was sent.
     pub index: u8,
@@ -64,7 +64,7 @@ impl<'a> Datagram<'a> {
         Ok((datagram, flags & MORE != 0))
     }
 
-    /// Its command; `None`: an unknown one.
+    /// The command; `None`: an unknown one.
     pub fn command(&self) -> Option<Command> {
         Command::new(self.number, self.address)
     }

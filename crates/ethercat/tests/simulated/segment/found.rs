@@ -13,7 +13,7 @@ fn running(count: u16, places: &[usize]) -> (EthercatPlan, EthercatSegment) {
 
 /// A clock that runs is not adjusted to the grid, only kept where it is.
 const KEPT_NS: i64 = 2_000;
-/// Times of others are told from each other by this, ns: whole periods, so that SYNC0 comes where it came.
+/// Times of others are distinguished by this, ns: whole periods, so that SYNC0 comes where it came.
 const APART: u64 = 123 * MS;
 
 impl Rig {

@@ -46,7 +46,7 @@ impl Rig {
         self.cycle.index = 0;
     }
 
-    /// What it finds of this slave; whether that is more than a state.
+    /// Leaves this slave in a state of before; whether that is more than a state.
     fn leave(&mut self, any: &mut Any, place: u16) {
         for fmmu in 0..8 {
             if any.below(3) == 0 {
@@ -98,7 +98,7 @@ const LEFT: [&[u8]; 8] = [
 ];
 
 #[test]
-fn whatever_was_left_is_taken_over_in_the_time_of_a_fresh_segment() {
+fn a_segment_left_in_any_state_is_taken_over_as_fast_as_a_fresh_one() {
     let plan = plan();
     let fresh = Rig::new(&plan).all_up(5_000);
     let mut worst = 0;
@@ -225,7 +225,7 @@ fn a_master_that_requests_init_is_named_until_the_slave_is_set_up_the_next_time(
 
 /// Behind those of the plan: whatever they map, it is carried out with the frames of this master.
 #[test]
-fn a_slave_with_an_fmmu_of_somebody_else_is_set_up_again_and_not_resumed() {
+fn a_slave_with_a_foreign_fmmu_is_set_up_again_and_not_resumed() {
     for active in [false, true] {
         let mut rig = Rig::new(&drives(3));
         rig.all_up(5_000);

@@ -178,7 +178,7 @@ fn a_write_that_commands_the_drive_is_checked_until_a_frame_carries_it() {
 }
 
 #[test]
-fn a_write_that_nobody_waits_for_is_under_way_until_a_later_request_is_answered() {
+fn a_write_without_waiter_is_under_way_until_a_later_request_is_answered() {
     let (mut bench, server) = Bench::server(16, &[(MODE, &[7]), (DEVICE_TYPE, &[1, 0, 0, 0])]);
     assert_eq!(bench.read(MODE), Ok(7));
     let ticket = bench.post(WRITE, "mode", 8);
@@ -223,7 +223,7 @@ fn without_a_mailbox_or_with_a_closed_one_all_is_refused_at_once() {
 }
 
 #[test]
-fn what_is_no_call_is_refused_and_a_short_signed_value_keeps_its_sign_in_a_longer_type() {
+fn an_unknown_call_is_refused_and_sign_extension_keeps_a_short_value() {
     let (mut bench, _server) = Bench::server(16, &[(MODE, &[0xFB, 0xFF])]);
     assert_eq!(bench.call(READ, "0x6060:0.i32", 0), Ok(0xFFFF_FFFB));
     assert_eq!(bench.call(READ, "0x6060:0.u32", 0), Ok(0xFFFB));

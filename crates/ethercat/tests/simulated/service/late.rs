@@ -6,7 +6,7 @@ use super::*;
 
 const SERIAL: Object = Object::new(0x1018, 1);
 
-/// So many answers are held back.
+/// Holds back `count` answers.
 pub(super) fn hold(server: &Server, count: usize) -> Arc<Mutex<Vec<Vec<u8>>>> {
     let held = Arc::new(Mutex::new(Vec::new()));
     let (kept, mut left) = (Arc::clone(&held), count);

@@ -16,7 +16,7 @@ fn an_emergency_in_place_of_an_answer_is_kept_and_the_answer_waited_for() {
 }
 
 #[test]
-fn an_emergency_that_nobody_asked_for_is_seen_and_too_many_are_counted() {
+fn an_unsolicited_emergency_is_reported_and_too_many_are_counted() {
     let (mut bench, server) = Bench::server(16, &[]);
     bench.steps(60);
     for code in 1..=12 {
@@ -32,7 +32,7 @@ fn an_emergency_that_nobody_asked_for_is_seen_and_too_many_are_counted() {
 }
 
 #[test]
-fn what_answers_something_else_is_a_stray_and_never_a_value() {
+fn an_answer_to_another_request_is_a_stray() {
     let (mut bench, server) = Bench::server(16, &[(MODE, &[7])]);
     // It returns counts.
     assert_eq!((bench.read(MODE), bench.read(MODE)), (Ok(7), Ok(7)));
@@ -58,7 +58,7 @@ fn what_answers_something_else_is_a_stray_and_never_a_value() {
 }
 
 #[test]
-fn what_cannot_be_used_ends_a_call_by_its_name() {
+fn an_unusable_mailbox_ends_a_call_with_its_reason() {
     let text: Vec<u8> = (b'a'..=b'z').collect();
     let of_segments = |change: fn(&mut u8)| {
         move |answer: &mut Vec<u8>| {

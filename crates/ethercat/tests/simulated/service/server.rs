@@ -8,10 +8,10 @@ use fieldbeat_core::time::Time;
 use fieldbeat_ethercat::wire::sdo::Object;
 use fieldbeat_sim::ethercat::{AlState, Application};
 
-/// What is done with an answer before it is sent: any number of messages in its place.
+/// The change of an answer before it is sent: any number of messages in its place.
 pub(super) type Twist = Box<dyn FnMut(Vec<u8>) -> Vec<Vec<u8>> + Send>;
 
-/// What it has and was sent.
+/// The objects that it has, and the requests that it got.
 #[derive(Default)]
 pub(super) struct Shared {
     pub objects: Vec<(Object, Vec<u8>)>,
@@ -21,7 +21,7 @@ pub(super) struct Shared {
     /// The count of the last request.
     pub last: u8,
     room: usize,
-    /// What is left to read, or has been written so far, and where to.
+    /// The rest to read, or the part written so far, and where to.
     under_way: Option<(Object, Vec<u8>, usize)>,
     toggle: bool,
 }

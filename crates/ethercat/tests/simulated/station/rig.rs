@@ -26,7 +26,7 @@ pub(super) struct Rig {
     pub(super) al: AlState,
     pub(super) inputs: Vec<u8>,
     pub(super) outputs: Vec<u8>,
-    /// What waits in the drive's mailbox.
+    /// The messages in the drive's mailbox.
     mail: VecDeque<Vec<u8>>,
     /// Demands of positions, as they went out.
     pub(super) steepest: i32,
@@ -86,7 +86,7 @@ impl Rig {
         rig
     }
 
-    /// What the segment does until the drive is in OP.
+    /// Plays the segment until the drive is in OP.
     fn bring_up(&mut self) {
         self.station.operational(None, &mut self.slot);
         self.station.service.open(false);
