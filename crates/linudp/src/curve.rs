@@ -114,7 +114,7 @@ impl Curve {
         name::bytes(name, NAME_SIZE).ok_or_else(|| CurveError::Name(name.to_owned()))
     }
 
-    /// Its name; `None` if its bytes are anything else than printable ASCII followed by zeros.
+    /// The name; `None` if its bytes are anything else than printable ASCII followed by zeros.
     pub fn name(&self) -> Option<&str> {
         name::text(&self.name, NAME_SIZE)
     }
@@ -237,7 +237,7 @@ mod tests {
     }
 
     #[test]
-    fn what_no_drive_could_hold_is_refused_with_its_value() {
+    fn a_curve_that_no_drive_can_hold_is_refused_with_its_value() {
         for (byte, value, error) in [
             (0, 72, CurveError::DataOffset(72)),
             (2, 4, CurveError::Kind(4)),

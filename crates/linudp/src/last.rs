@@ -13,7 +13,7 @@ use super::plan::LinUdpDrive;
 use super::wire::{ControlWord, MainState, REQUEST_MAX, Request, ResponseDef, StatusWord};
 use fieldbeat_core::bus::last::{LastDrive, Reply, Telegram, Telegrams};
 
-/// What the reply shows.
+/// The definition of the reply.
 const REPORTED: ResponseDef =
     ResponseDef(ResponseDef::STATUS.0 | ResponseDef::STATE.0 | ResponseDef::ACTUAL.0);
 

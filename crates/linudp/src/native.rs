@@ -81,7 +81,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn whatever_was_received_can_be_read() {
+    fn any_received_bytes_are_readable_as_native_inputs() {
         let mut random = fastrand::Rng::with_seed(7);
         let (native, mut port): (Native, NativePort) = native::native();
         assert_eq!(native.inputs(), NativeInputs::default());

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use super::service::{ServiceError, Services};
-use super::upid::{Known, RtcCall, Type, Upid, Usage, Variant, address, call};
+use super::upid::{RtcCall, Type, Upid, UpidInfo, Usage, Variant, address, call};
 use super::wire::{Refusal, RtcCommand};
 use fieldbeat_core::axis::acyclic::{
     Call, Counts, ListError, Listed, Listing, Notation, NotationError, Place, Values, Wanted, go_on, shown,
@@ -23,7 +23,7 @@ const FLASH_LIMIT: Duration = Duration::from_secs(20);
 pub struct Upids;
 
 impl Upids {
-    fn known(text: &str) -> Option<&'static Known> {
+    fn known(text: &str) -> Option<&'static UpidInfo> {
         address(text)?.0.known()
     }
 }
@@ -73,7 +73,7 @@ impl Notation for Upids {
     fn show(&self, text: &str, raw: u64) -> String {
         let raw = raw as u32;
         match Upids::known(text) {
-            Some(Known { kind: Type::Text, .. }) => {
+            Some(UpidInfo { kind: Type::Text, .. }) => {
                 let letters = raw.to_le_bytes().map(char::from);
                 let letters: String = letters.into_iter().filter(char::is_ascii_graphic).collect();
                 format!("\"{letters}\" (0x{raw:X})")
@@ -225,7 +225,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_written_is_known_again_in_both_memories_and_in_every_size() {
+    fn written_addresses_parse_back_in_both_memories_and_every_size() {
         assert_eq!(Upids.read_back("monitor-source-1.both"), ["0x20A8", "0x20A8.rom"]);
         assert_eq!(Upids.read_back("monitor-source-1.rom"), ["monitor-source-1.rom"]);
         for (address, written, read, same) in [

@@ -15,7 +15,7 @@ const COUNTS: usize = 16;
 /// A count that a request of this master has carried within so many exchanges is its own: no copy of a request arrives
 /// later.
 const OWN: u64 = 250;
-/// So many clean replies in a row with a count that is not explained are proof ...
+/// The number of clean replies in a row with an unexplained count that are proof ...
 const REPLIES: u8 = 3;
 /// ... and so many that differ from one to the next, before any count was reported twice.
 const CHANGES: u8 = 5;
@@ -114,7 +114,7 @@ mod tests {
     }
 
     #[test]
-    fn the_third_reply_with_a_count_of_somebody_else_proves_it_once() {
+    fn the_third_reply_with_a_foreign_count_proves_another_master_once() {
         let mut other = idle(5);
         assert_eq!(first(&mut other, [6; 20]), Some(2));
         assert_eq!(first(&mut other, [6; 20]), None, "the same command proves nothing more");

@@ -21,7 +21,7 @@ pub const COUNTS_PER_MM: f64 = 10_000.0;
 /// One master socket and its drives.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LinUdpPlan {
-    /// Its name in messages.
+    /// The name in messages.
     pub name: String,
     /// Where the master listens and sends from.
     pub bind: SocketAddrV4,
@@ -32,7 +32,7 @@ pub struct LinUdpPlan {
 /// One LinMot drive.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LinUdpDrive {
-    /// What every protocol's axis has. Counts are 0.1 um: 10 000 a millimetre.
+    /// The settings of every protocol's axis. Counts are 0.1 um: 10 000 a millimetre.
     pub axis: AxisPlan,
     /// Where the drive listens.
     pub address: SocketAddrV4,
@@ -40,7 +40,7 @@ pub struct LinUdpDrive {
     pub serial: Option<Serial>,
     /// The streaming command that Follow uses; `None`: Follow is refused.
     pub stream: Option<StreamCommand>,
-    /// What the four monitoring channels show, if they are requested.
+    /// The variables of the four monitoring channels, if they are requested.
     pub monitor: MonitorPlan,
     /// By what a reply shows which request it answers.
     pub reply_tag: ReplyTag,
@@ -139,12 +139,12 @@ pub enum ReplyTag {
 }
 
 impl ReplyTag {
-    /// Its words in the configuration.
+    /// The words in the configuration.
     pub const WORDS: [(&'static str, ReplyTag); 3] =
         [("definition", ReplyTag::Definition), ("count", ReplyTag::Count), ("off", ReplyTag::Off)];
 }
 
-/// What the four monitoring channels of a drive show (LinUDP V2 manual, 4.4.9).
+/// The variables of the four monitoring channels of a drive (LinUDP V2 manual, 4.4.9).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum MonitorPlan {
     /// They are not requested.
@@ -157,7 +157,7 @@ pub enum MonitorPlan {
 }
 
 impl MonitorPlan {
-    /// What the drive is to be set to.
+    /// The variables to set in the drive.
     pub fn sources(self) -> [Option<Upid>; 4] {
         match self {
             MonitorPlan::Sources(sources) => sources,
@@ -190,7 +190,8 @@ impl MonitorPlan {
 }
 
 impl LinUdpDrive {
-    /// What contradicts itself, or would not work with an exchange every `period_ns`; what every axis has left out.
+    /// The contradictions, and settings that would not work with an exchange every `period_ns`; those of every axis
+    /// left out.
     pub fn faults(&self, period_ns: u64) -> Vec<PlanFault> {
         let mut faults = self.wire_faults();
         faults.extend(self.stream.and_then(|command| self.stream_fault(command, period_ns)));
@@ -267,7 +268,7 @@ impl LinUdpDrive {
         Some(PlanFault::new("stream", why))
     }
 
-    /// What `check` says of it beyond its axis; the first line is its address.
+    /// The lines of `check` beyond its axis; the first line is its address.
     pub fn describe(&self, bind: SocketAddrV4, period_ns: u64) -> String {
         let unit = self.axis.units.unit;
         let setpoints = Ns(period_ns.saturating_mul(self.axis.divisor.into()));

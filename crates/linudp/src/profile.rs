@@ -36,12 +36,12 @@ const ACCELERATION: f64 = 0.01;
 /// The demand ends exactly at its target; a micrometre is left to its rounding, counts.
 const ARRIVAL: f64 = 10.0;
 
-/// What the drive reported last, as far as its profile needs it.
+/// The last report of the drive, as far as its profile needs it.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Inputs {
     /// There was a reply at all.
     pub seen: bool,
-    /// Its count is none that this master has used lately.
+    /// The count is none that this master has used lately.
     pub foreign: bool,
     /// Status word and state var are 0: booting, or the motion software is stopped.
     pub booting: bool,
@@ -94,23 +94,23 @@ impl Serials {
     }
 }
 
-/// What a request carried that is answered after newer ones have left.
+/// The contents of a request that is answered after newer ones have left.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Carried {
     serials: Serials,
     /// The count of its motion command.
     count: Option<u8>,
-    /// Its control word, and that of the request before.
+    /// The control word, and that of the request before.
     control: Option<ControlWord>,
     control_before: Option<ControlWord>,
 }
 
-/// What the requests that left have led to.
+/// The state after the requests that left.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 struct State {
-    /// What the last one carried.
+    /// The serials of the last one.
     serials: Serials,
-    /// Its control word, and that of the one before.
+    /// The control word, and that of the one before.
     control: Option<ControlWord>,
     control_before: Option<ControlWord>,
     channel: MotionChannel,
@@ -123,7 +123,7 @@ struct State {
     native_control: Option<ControlWord>,
     /// The block of a native output, in the last request only.
     native_config: Option<RtcBlock>,
-    /// So many native outputs were carried.
+    /// The number of native outputs carried.
     native_taken: u32,
 }
 
@@ -142,7 +142,7 @@ pub(super) struct Profile {
     only_control: bool,
 }
 
-/// What the plan says of the drive.
+/// The plan of the drive.
 #[derive(Debug)]
 struct Rules {
     units: Units,
@@ -163,7 +163,7 @@ enum Voltage {
     },
 }
 
-/// What a drive can do, and what its wire carries.
+/// The capabilities of a drive, and of its wire.
 pub(super) fn capabilities(drive: &LinUdpDrive) -> Capabilities {
     let scale = drive.axis.units.counts_per_unit.abs();
     let ends = [i32::MIN, i32::MAX].map(|count| f64::from(count) / drive.axis.units.counts_per_unit);
@@ -308,7 +308,7 @@ impl Profile {
         }
     }
 
-    /// What the last request that went out carried.
+    /// The contents of the last request that went out.
     pub(super) fn carried(&self) -> Carried {
         let State { serials, control, control_before, channel, .. } = *self.state.left();
         Carried { serials, count: channel.sent_count(), control, control_before }
@@ -323,7 +323,7 @@ impl Profile {
         });
     }
 
-    /// What a reply proves; `clean`: it can be no older one.
+    /// Takes the evidence of a reply; `clean`: it can be no older one.
     pub(super) fn take(&mut self, inputs: &Inputs, clean: bool, evidence: &mut Evidence) {
         self.state.change(|state| state.take(inputs, clean, evidence));
         self.report(inputs, evidence);
@@ -341,7 +341,7 @@ impl Profile {
         self.report(inputs, evidence);
     }
 
-    /// What the states report.
+    /// Takes the reported states.
     fn report(&self, inputs: &Inputs, evidence: &mut Evidence) {
         evidence.refused = self.state.left().refused;
         evidence.stays_on = inputs.status.has(StatusWord::SWITCH_ON_ACTIVE);

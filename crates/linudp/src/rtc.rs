@@ -102,7 +102,7 @@ enum Stage {
     Sent,
     /// The drive has missed an exchange.
     Silent,
-    /// Its link was lost.
+    /// The link was lost.
     Lost,
 }
 

@@ -77,12 +77,12 @@ impl Entry {
         name::bytes(name, NAME_SIZE - 1).ok_or_else(|| EntryError::Name(name.to_owned()))
     }
 
-    /// Its name; `None` if its bytes are anything else than printable ASCII followed by zeros.
+    /// The name; `None` if its bytes are anything else than printable ASCII followed by zeros.
     pub fn name(&self) -> Option<&str> {
         name::text(&self.name, NAME_SIZE - 1)
     }
 
-    /// Its motion command, without two parameter bytes that no command uses.
+    /// The motion command, without two parameter bytes that no command uses.
     pub fn command(&self) -> MotionCommand {
         let mut command = MotionCommand::new(self.header >> 4);
         command.parameters.copy_from_slice(&self.parameters[..30]);
@@ -180,7 +180,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_entry_is_refused_with_its_value() {
+    fn a_malformed_entry_is_refused_with_its_value() {
         assert_eq!(Entry::decode(&[0; 63]), Err(EntryError::Size(63)));
         assert_eq!(Entry::decode(&[0x11; 64]), Err(EntryError::Version(0x1111)));
         for name in ["sixteen letters!", "a\tb", "H\u{f6}he", "zero\0"] {

@@ -38,8 +38,8 @@ impl Upid {
     /// The first of the four sources of the monitoring channels (LinUDP V2 manual, 4.4.9).
     pub const MONITOR_SOURCE: Upid = Upid(0x20A8);
 
-    /// What is known of it.
-    pub fn known(self) -> Option<&'static Known> {
+    /// The catalogue's entry.
+    pub fn known(self) -> Option<&'static UpidInfo> {
         KNOWN.iter().find(|known| known.upid == self)
     }
 
@@ -152,20 +152,20 @@ impl std::fmt::Display for Usage {
     }
 }
 
-/// What is known of a UPID.
+/// An entry of the catalogue of UPIDs.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Known {
-    /// Its number.
+pub struct UpidInfo {
+    /// The number.
     pub upid: Upid,
-    /// Its name here.
+    /// The name here.
     pub name: &'static str,
-    /// Its type.
+    /// The type.
     pub kind: Type,
-    /// What its counts measure; without a unit they are plain numbers.
+    /// The quantity of its counts; without a unit they are plain numbers.
     pub quantity: Quantity,
 }
 
-impl Known {
+impl UpidInfo {
     /// The scaled value of a raw one.
     pub fn value(&self, raw: u32) -> f64 {
         let number = self.kind.number(raw) as f64;
@@ -177,30 +177,30 @@ impl Known {
     }
 }
 
-const fn known(upid: u16, name: &'static str, kind: Type, decimals: u32, unit: &'static str) -> Known {
+const fn known(upid: u16, name: &'static str, kind: Type, decimals: u32, unit: &'static str) -> UpidInfo {
     let quantity = Quantity { scale: Scale::Decimals(decimals), unit };
-    Known { upid: Upid(upid), name, kind, quantity }
+    UpidInfo { upid: Upid(upid), name, kind, quantity }
 }
 
-const fn number(upid: u16, name: &'static str, kind: Type) -> Known {
+const fn number(upid: u16, name: &'static str, kind: Type) -> UpidInfo {
     known(upid, name, kind, 0, "")
 }
 
-const fn position(upid: u16, name: &'static str) -> Known {
+const fn position(upid: u16, name: &'static str) -> UpidInfo {
     known(upid, name, Type::S32, 4, "mm")
 }
 
-const fn velocity(upid: u16, name: &'static str, kind: Type) -> Known {
+const fn velocity(upid: u16, name: &'static str, kind: Type) -> UpidInfo {
     known(upid, name, kind, 3, "mm/s")
 }
 
-const fn acceleration(upid: u16, name: &'static str, kind: Type) -> Known {
+const fn acceleration(upid: u16, name: &'static str, kind: Type) -> UpidInfo {
     known(upid, name, kind, 2, "mm/s2")
 }
 
 /// The UPIDs that are known by name, in the order of their numbers. A type that no source states is the smallest
 /// that fits the meaning.
-pub const KNOWN: &[Known] = &[
+pub const KNOWN: &[UpidInfo] = &[
     number(0x000C, "article-number", Type::Text),
     known(0x0082, "operating-hours-part", Type::U32, 0, "ms"),
     number(0x1039, "trigger-input", Type::U16),
@@ -243,7 +243,7 @@ pub const KNOWN: &[Known] = &[
     known(0x1BCE, "drive-temperature", Type::S16, 1, "C"),
     number(0x1BDD, "power-loss", Type::U16),
     // The low 16 bits, raw x 250/255 - 50 (a master in the field).
-    Known {
+    UpidInfo {
         quantity: Quantity { scale: Scale::Linear { per_unit: 255.0 / 250.0, zero: -50.0 }, unit: "C" },
         ..number(0x1BF3, "motor-temperature", Type::U16)
     },

@@ -21,15 +21,15 @@ const HEADER: usize = 2;
 pub struct CommandInfo {
     /// Master id (bits 11-4) and sub id (3-0).
     pub id: u16,
-    /// Its name in files: `vai-go-to`.
+    /// The name in files: `vai-go-to`.
     pub name: &'static str,
-    /// What has to be known before it is sent.
+    /// The remarks to know before it is sent.
     pub marks: &'static [Mark],
-    /// Its fields, in the order of the wire.
+    /// The fields, in the order of the wire.
     pub fields: &'static [Field],
 }
 
-/// What has to be known of a command before it is sent.
+/// The remarks on a command to know before it is sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Mark {
     /// It has an effect inside the command table only.
@@ -38,16 +38,16 @@ pub enum Mark {
     SoftwareKey,
     /// It is not in the manual of 2014: older firmware does not have it.
     Newer,
-    /// Its layout, or which of two like commands it is, is not certain.
+    /// The layout, or which of two like commands it is, is not certain.
     Assumed,
 }
 
 /// A value after a header.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Field {
-    /// Its name in files: `velocity`.
+    /// The name in files: `velocity`.
     pub name: &'static str,
-    /// Its first byte, counted from the header as in the manual; at least 2.
+    /// The first byte, counted from the header as in the manual; at least 2.
     pub at: usize,
     /// Type, unit, range.
     pub kind: Kind,
@@ -84,7 +84,7 @@ impl CommandInfo {
 }
 
 impl Field {
-    /// Its wire integer in `parameters`, the bytes after a header; missing bytes are 0.
+    /// The wire integer in `parameters`, the bytes after a header; missing bytes are 0.
     pub fn read(&self, parameters: &[u8]) -> i64 {
         let place = parameters.iter().skip(self.at - HEADER).take(self.kind.size());
         let value = place.rev().fold(0_u32, |value, byte| value << 8 | u32::from(*byte));

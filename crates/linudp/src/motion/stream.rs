@@ -31,7 +31,7 @@ impl StreamCommand {
         StreamCommand::PvaConfigured,
     ];
 
-    /// Its word in the configuration: what is behind `stream-` in its name as a command.
+    /// The word in the configuration: what is behind `stream-` in its name as a command.
     pub fn name(self) -> &'static str {
         CommandInfo::of(self.id()).and_then(|info| info.name.strip_prefix("stream-")).unwrap_or_default()
     }

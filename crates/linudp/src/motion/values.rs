@@ -18,7 +18,7 @@ macro_rules! kinds {
     ($($(#[doc = $doc:literal])+
        $name:ident: $int:ident $(in $low:literal..=$high:literal)?, $unit:literal, $decimals:literal
        $(, $from:ident, $to:ident)?;)*) => {
-        /// What a field of a command is: its wire integer, unit, scale and range.
+        /// The kind of a field of a command: its wire integer, unit, scale and range.
         #[derive(Clone, Copy, Debug, PartialEq, Eq)]
         pub enum Kind {
             $($(#[doc = $doc])+ $name,)*
@@ -226,7 +226,7 @@ mod tests {
     }
 
     #[test]
-    fn what_does_not_fit_is_refused_in_user_units() {
+    fn a_value_out_of_range_is_refused_in_user_units() {
         let error = Position::from_mm(214_748.364_8).unwrap_err();
         assert_eq!((error.value, error.unit), (214_748.364_8, "mm"));
         assert_eq!((error.low, error.high), (-214_748.364_8, 214_748.364_7));

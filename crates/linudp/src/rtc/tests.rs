@@ -138,7 +138,7 @@ fn a_write_that_commands_the_drive_is_checked_until_its_block_has_gone_out() {
 }
 
 #[test]
-fn a_write_that_nobody_waits_for_is_under_way_until_the_drive_has_stored_a_later_command() {
+fn a_write_without_waiter_is_under_way_until_the_drive_has_stored_a_later_command() {
     let mut b = Bench::learned();
     let ticket = b.post(call(RtcCommand::WRITE_RAM, 0x1450, 1));
     let sent = b.turn(status(RtcStatus::BUSY)).unwrap();
@@ -157,7 +157,7 @@ fn a_write_that_nobody_waits_for_is_under_way_until_the_drive_has_stored_a_later
 }
 
 #[test]
-fn a_save_goes_out_once_into_a_silence_and_is_asked_for_by_its_count_after_it() {
+fn a_save_is_sent_once_before_a_silence_and_its_result_read_by_its_count_after_it() {
     let saving = || {
         let b = Bench::learned();
         let save = call(RtcCommand::SAVE_CURVES, 0, 0);
@@ -205,7 +205,7 @@ fn a_save_goes_out_once_into_a_silence_and_is_asked_for_by_its_count_after_it() 
 }
 
 #[test]
-fn what_stops_the_drive_or_may_hold_it_up_is_refused_while_its_power_is_on() {
+fn calls_that_stop_or_delay_a_drive_are_refused_while_its_power_is_on() {
     let mut b = Bench::learned();
     b.powered = true;
     for command in [
@@ -227,7 +227,7 @@ fn what_stops_the_drive_or_may_hold_it_up_is_refused_while_its_power_is_on() {
 }
 
 #[test]
-fn a_drive_that_does_not_answer_about_its_monitor_holds_up_nobody_else() {
+fn a_drive_without_monitor_answer_delays_no_other_drive() {
     let mut b = Bench::monitoring([Some(Upid(0x1E0F)), None, None, None]);
     let mut tickets: Vec<_> = (0..6).map(|_| b.post(READ)).collect();
     // It never answers for the monitoring channels.

@@ -6,7 +6,7 @@ use crate::motion::Kind;
 use crate::upid::call;
 use crate::wire::{Refusal, RtcCommand};
 
-/// What writing a curve involves.
+/// The steps of writing a curve.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CurvePut {
     /// The drive has none of this number: it is added.

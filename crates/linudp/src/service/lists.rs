@@ -12,7 +12,7 @@ const LONGEST_TEXT: u16 = 16;
 /// One parameter of a list.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ListItem {
-    /// Its number.
+    /// The number.
     pub upid: Upid,
     /// How it can be used.
     pub usage: Usage,

@@ -26,7 +26,7 @@ pub struct ErrorLog {
 pub struct LoggedError {
     /// The error code.
     pub code: u16,
-    /// Its text, from the drive.
+    /// The text, from the drive.
     pub text: String,
     /// Operating hours when it occurred ...
     pub hours: u32,

@@ -89,7 +89,7 @@ pub enum ServiceError {
         /// The drive.
         drive: String,
     },
-    /// Its power stage is on.
+    /// The power stage is on.
     #[error("drive {drive}: {what} needs a drive that is switched off: disable it first")]
     Powered {
         /// The drive.
@@ -104,10 +104,10 @@ pub enum ServiceError {
         drive: String,
         /// Their object.
         what: String,
-        /// What is wrong with it.
+        /// The mistake.
         why: String,
     },
-    /// Its software was stopped for a service, and was not confirmed to run again.
+    /// The software was stopped for a service, and was not confirmed to run again.
     #[error(
         "{}its software may still be stopped ({start}); `fieldbeat linmot software start` starts it once the \
          drive answers",
@@ -174,7 +174,7 @@ impl<'a> Services<'a> {
         Ok(Services { drive: drive.to_owned(), carrier, _claim: claim })
     }
 
-    /// Its name.
+    /// The name.
     pub fn drive(&self) -> &str {
         &self.drive
     }

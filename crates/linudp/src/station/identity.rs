@@ -44,19 +44,19 @@ const MOST_UNDER_WAY: u8 = 32;
 /// ... and are written off after so many exchanges without a miss: no reply takes that long.
 const FORGOTTEN_AFTER: u8 = 16;
 
-/// What distinguishes the reply to the last request from any other. What each exchange touches comes first: it shares a
+/// The identity of the reply to the last request. The part that each exchange touches comes first: it shares a
 /// line of the cache with what stands before it in the station.
 #[derive(Clone, Copy, Debug, Default)]
 #[repr(C)]
 pub(super) struct Identity {
-    /// What the reply to the prepared request will echo.
+    /// The echo of the prepared request.
     pub(super) prepared: Echo,
-    /// What the reply to the last request sent echoes.
+    /// The echo of the last request sent.
     pub(super) requested: Echo,
     /// The response definition of the first turn, and the blocks by which the requests of one kind differ.
     usual: u16,
     varies: u16,
-    /// So many response definitions take turns, and the place of the next one.
+    /// The number of response definitions that take turns, and the place of the next one.
     turns: u8,
     turn: u8,
     last: Last,
@@ -70,7 +70,7 @@ pub(super) struct Identity {
     /// A reply was suspect: the next request that is built differs from those before it. Its reply cannot be mistaken
     /// for theirs, which may still come.
     odd_due: bool,
-    /// So many cycles after that of its request a reply counts, if its echo is that of no other request.
+    /// The number of cycles after that of its request in which a reply counts, if its echo is that of no other request.
     beyond: u8,
     /// Of the requests whose replies may still come those that have none yet, by their definitions that take turns, or
     /// by their counts: a bit each. What comes to any other one is a duplicate.
@@ -115,11 +115,11 @@ pub(super) struct EarlierRequest {
     pub(super) echo: Echo,
     /// When it was sent.
     pub(super) sent_at: Time,
-    /// What it and those before it carried.
+    /// The contents of it and of those before it.
     pub(super) carried: Carried,
 }
 
-/// What a reply echoes of its request: the definitions, as far as this master has blocks for their bits.
+/// The echo of a request in its reply: the definitions, as far as this master has blocks for their bits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Echo {
     response: u16,
@@ -200,7 +200,7 @@ impl EarlierRequests {
     }
 }
 
-/// What a reply is that closes no exchange in its window.
+/// The kind of a reply that closes no exchange in its window.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Unrequested {
     /// The requested reply, behind a late one that was taken for it in the same window.
@@ -330,8 +330,8 @@ impl Identity {
         suspect
     }
 
-    /// So many cycles after its own the reply to the prepared request counts: none, if another one of the last requests
-    /// has the same echo.
+    /// The number of cycles after its own in which the reply to the prepared request counts: none, if another one of
+    /// the last requests has the same echo.
     #[inline]
     pub(super) fn beyond(&self) -> u8 {
         if self.turns > 1 || self.prepared.tag != NO_TAG { self.beyond } else { 0 }
@@ -410,7 +410,7 @@ impl Identity {
         self.mistakable = self.mistakable.saturating_sub(1);
     }
 
-    /// What the echoes of all requests of this kind have in common.
+    /// The part that the echoes of all requests of this kind have in common.
     fn kind(&self, echo: Echo) -> Echo {
         Echo { response: echo.response & !self.varies, tag: NO_TAG, ..echo }
     }

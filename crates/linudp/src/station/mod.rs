@@ -46,15 +46,15 @@ use fieldbeat_core::time::Time;
 /// factory-fresh drives do not answer a telegram without any block (sheet, 1.3).
 const FULL_PROBE_EVERY: u8 = 4;
 
-/// What follows begins a line of the cache.
+/// The following fields begin a line of the cache.
 #[derive(Debug)]
 #[repr(align(64))]
 struct Line;
 
-/// Its bytes.
+/// The bytes.
 const LINE: usize = align_of::<Line>();
 
-/// So many words before the profile let what each exchange touches of it begin a line.
+/// The number of words before the profile that let its part touched by each exchange begin a line.
 const BEFORE: usize = (LINE - (size_of::<Profile>() - Profile::TOUCHED) % LINE) % LINE / 8;
 
 /// No revision comes to this.
@@ -198,7 +198,7 @@ impl Station {
         self.emit(&request, None, out)
     }
 
-    /// What came since the last request was built has changed what it was built from.
+    /// Says whether news since the last request was built have changed what it was built from.
     #[inline]
     pub fn is_void(&self) -> bool {
         self.profile.is_void()

@@ -136,7 +136,7 @@ impl Station {
         true
     }
 
-    /// What the states of a reply report and prove.
+    /// Takes the reported states of a reply, and their evidence.
     #[inline(never)]
     fn prove(
         &mut self,

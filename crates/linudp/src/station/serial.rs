@@ -42,7 +42,7 @@ impl SerialNote {
 
 /// Whether the drive is the one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Known {
+enum IdentifiedFor {
     No,
     /// Since the link is down, and no exchange was missed after that.
     Fresh,
@@ -55,7 +55,7 @@ enum Known {
 pub(super) struct Identification {
     /// The one that it has to be, if any.
     wanted: Option<Serial>,
-    known: Known,
+    known: IdentifiedFor,
     count: u8,
     unechoed: u8,
 }
@@ -64,28 +64,28 @@ impl Identification {
     /// Of a drive that has to be this one, if any.
     pub(super) fn new(wanted: Option<Serial>) -> Identification {
         let wanted = wanted.filter(|wanted| wanted.number.is_some());
-        let known = if wanted.is_none() { Known::Linked } else { Known::No };
+        let known = if wanted.is_none() { IdentifiedFor::Linked } else { IdentifiedFor::No };
         Identification { wanted, known, count: 1, unechoed: 0 }
     }
 
     /// It is the one, or may be any.
     #[inline]
     pub(super) fn is_known(&self) -> bool {
-        self.known != Known::No
+        self.known != IdentifiedFor::No
     }
 
     /// The next request is built: on a link that is down, and after an exchange that was missed.
     pub(super) fn advance(&mut self, is_down: bool, is_missed: bool) {
         self.known = match self.known {
             known if self.wanted.is_none() => known,
-            Known::No => Known::No,
-            _ if !is_down => Known::Linked,
-            Known::Fresh if !is_missed => Known::Fresh,
-            Known::Fresh | Known::Linked => Known::No,
+            IdentifiedFor::No => IdentifiedFor::No,
+            _ if !is_down => IdentifiedFor::Linked,
+            IdentifiedFor::Fresh if !is_missed => IdentifiedFor::Fresh,
+            IdentifiedFor::Fresh | IdentifiedFor::Linked => IdentifiedFor::No,
         };
     }
 
-    /// What the next request asks for.
+    /// The read of the next request.
     pub(super) fn block(&self) -> Option<RtcBlock> {
         let wanted = self.wanted.filter(|_| !self.is_known())?;
         Some(RtcBlock::call(self.count, RtcCommand::READ_RAM, wanted.from.0, 0))
@@ -110,7 +110,7 @@ impl Identification {
             _ if Some(block.value()) != wanted.number => note.set(0, SerialNote::Another(block.value())),
             _ => {
                 note.set(0, SerialNote::None);
-                self.known = Known::Fresh;
+                self.known = IdentifiedFor::Fresh;
             }
         }
         self.again();

@@ -218,8 +218,8 @@ fn a_reply_counts_once_the_drive_has_said_its_serial_number_and_after_each_loss_
     let serial = Serial { from: Upid(0x66), number: Some(7) };
     let mut b =
         Bench::new(&LinUdpDrive { serial: Some(serial), ..LinUdpDrive::new("x", Ipv4Addr::LOCALHOST) });
-    // The link, the number of the drive, whether it is asked for it, and whether the next reply counts.
-    for (link, number, is_asked, counts) in [
+    // The link, the number of the drive, whether it is read, and whether the next reply counts.
+    for (link, number, is_read, counts) in [
         (Link::Unseen, 8, true, false),
         (Link::Unseen, 7, true, true),
         (Link::Unseen, 7, false, true),
@@ -232,8 +232,8 @@ fn a_reply_counts_once_the_drive_has_said_its_serial_number_and_after_each_loss_
     ] {
         b.slot.link = link;
         let request = b.send();
-        let asks = |block: &RtcBlock| block.code == RtcCommand::READ_RAM.0 && block.index() == 0x66;
-        assert_eq!(request.config.as_ref().is_some_and(asks), is_asked, "{link:?} {number}");
+        let reads = |block: &RtcBlock| block.code == RtcCommand::READ_RAM.0 && block.index() == 0x66;
+        assert_eq!(request.config.as_ref().is_some_and(reads), is_read, "{link:?} {number}");
         let mut bytes = [0; 64];
         let answer = |block: RtcBlock| RtcBlock { code: 0, words: [0x66, number, 0], ..block };
         let response = Response {
@@ -247,7 +247,7 @@ fn a_reply_counts_once_the_drive_has_said_its_serial_number_and_after_each_loss_
         let size = response.emit(&mut bytes);
         b.station.take(b.cycle.grid + MS / 10, &bytes[..size], true, &mut b.slot);
         let is_answered = matches!(b.slot.exchange, Exchange::Answered { .. });
-        assert_eq!((is_answered, b.station.who.is_known()), (!is_asked, counts), "{link:?} {number}");
+        assert_eq!((is_answered, b.station.who.is_known()), (!is_read, counts), "{link:?} {number}");
     }
     let note = b.station.serial_note();
     assert_eq!(note.get(0).text(serial), None);

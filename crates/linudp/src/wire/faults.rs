@@ -75,7 +75,7 @@ impl ErrorCode {
     /// 008Ah: the command table has no such entry.
     pub const ENTRY_MISSING: ErrorCode = ErrorCode(0x008A);
 
-    /// Its meaning, if known.
+    /// The meaning, if known.
     pub const fn name(self) -> Option<&'static str> {
         Some(match self.0 {
             0x0000 => "no error",

@@ -108,7 +108,7 @@ pub const REQUEST_MAX: usize = field::HEADER + field::CONTROL + field::MOTION + 
 /// The longest response that the definitions can describe, bytes, without padding.
 pub const RESPONSE_MAX: usize = field::HEADER + field::RESPONSE_SUM[0xFF] as usize + field::CONFIG;
 
-/// What both definitions have, the set of the blocks of a telegram.
+/// The common part of both definitions, the set of the blocks of a telegram.
 macro_rules! definitions {
     ($($name:ident),*) => {
         $(impl $name {
@@ -201,7 +201,7 @@ impl ResponseDef {
 /// Why a datagram is not a telegram.
 #[derive(Clone, Copy, PartialEq, Eq, Error)]
 pub enum ParseError {
-    /// Its definitions need more bytes than it has.
+    /// The definitions need more bytes than it has.
     #[error(
         "{have} bytes where the definitions need {need}: not a LinUDP V2 telegram, or cut off on its way"
     )]

@@ -45,7 +45,7 @@ impl<'a> ResponseView<'a> {
         self.response
     }
 
-    /// Its first four blocks, which each reply to a master has; all of them 0 where one is missing.
+    /// The first four blocks, which each reply to a master has; all of them 0 where one is missing.
     #[inline]
     pub fn front(&self) -> Front {
         let blocks = chunk(self.bytes, field::HEADER).filter(|_| self.response.contains(ResponseDef::FRONT));

@@ -294,7 +294,7 @@ impl Refusal {
         known.map_or(Refusal::Unlisted(code), |(_, refusal)| *refusal)
     }
 
-    /// Its code.
+    /// The code.
     pub fn code(self) -> u8 {
         match self {
             Refusal::Unlisted(code) => code,

@@ -6,7 +6,7 @@ use super::*;
 /// LinUDP V2 manual, chapters 4.4 and 7, and two masters on real drives: status only, no block in the request.
 const STATUS_REQUEST: [u8; 8] = [0, 0, 0, 0, 0x7F, 0, 0, 0];
 
-/// Its response: SW 0C37h, SV 08C3h, actual 12.3456 mm, demand 12.3450 mm, -250 mA, no warning, no error.
+/// The response: SW 0C37h, SV 08C3h, actual 12.3456 mm, demand 12.3450 mm, -250 mA, no warning, no error.
 const STATUS_RESPONSE: [u8; 26] = [
     0x00, 0x00, 0x00, 0x00, 0x7F, 0x00, 0x00, 0x00, 0x37, 0x0C, 0xC3, 0x08, 0x40, 0xE2, 0x01, 0x00, 0x3A,
     0xE2, 0x01, 0x00, 0x06, 0xFF, 0x00, 0x00, 0x00, 0x00,
@@ -34,7 +34,7 @@ fn answered(response: &Response) -> Vec<u8> {
     written(response.size(), |out| response.emit(out))
 }
 
-/// What `emit` wrote.
+/// The bytes that `emit` wrote.
 fn written(size: usize, emit: impl Fn(&mut [u8]) -> usize) -> Vec<u8> {
     let mut bytes = [0xEE; REQUEST_MAX];
     assert_eq!(emit(&mut bytes), size);
