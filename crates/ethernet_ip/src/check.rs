@@ -28,7 +28,7 @@ pub(super) const INPUT_MAX: u8 = IoCode::MAX;
 pub(super) const STEPS_MAX: f64 = 2.0 * u16::MAX as f64;
 
 impl EthernetIpPlan {
-    /// What is wrong with the bus itself, as of its first drive.
+    /// The mistakes of the bus itself, as of its first drive.
     pub(super) fn own_faults(&self) -> Vec<(usize, PlanFault)> {
         let mut faults = Vec::new();
         let mut wrong = |drive, key, message: &str| faults.push((drive, PlanFault::new(key, message)));
@@ -53,7 +53,7 @@ impl EthernetIpPlan {
 }
 
 impl MoonsDrive {
-    /// What contradicts itself, or would not work with a packet every `rpi_ns`; what every axis has left out.
+    /// The contradictions, and settings that would not work with a packet every `rpi_ns`; those of every axis left out.
     pub fn faults(&self, rpi_ns: u64) -> Vec<PlanFault> {
         // The cycle's own period.
         let period_ns = rpi_ns / u64::from(self.axis.divisor.max(1));
@@ -148,7 +148,7 @@ impl MoonsDrive {
         faults.wrong_if(wrong, "watchdog", why);
     }
 
-    /// What the kind of the connection rules out.
+    /// The mistakes by the kind of the connection.
     fn connection_faults(&self, faults: &mut Vec<PlanFault>) {
         if !self.cyclic {
             return;
@@ -232,7 +232,7 @@ impl MoonsDrive {
         self.watchdog.within_ns.filter(|_| self.takes_commands())
     }
 
-    /// What `check` says of it beyond its axis; the first line is its address.
+    /// The lines of `check` beyond its axis; the first line is its address.
     pub fn describe(&self, bind: SocketAddrV4, period_ns: u64) -> String {
         let motion = match self.takes_commands() {
             true => format!("{}\n{}", self.describe_motion(), self.describe_commands(period_ns)),

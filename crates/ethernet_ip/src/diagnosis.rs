@@ -54,7 +54,7 @@ fn own(of: &Symptoms<'_>, counter: Own) -> u64 {
     of.own(counter as usize)
 }
 
-/// So many came in place of its packets: it may send more rarely than it is sent to.
+/// `count` came in place of its packets: it may send more rarely than it is sent to.
 fn comes(of: &Symptoms<'_>, count: u64) -> bool {
     count > 0 && 4 * count > of.counters.missed
 }

@@ -14,7 +14,7 @@ use fieldbeat_core::time::Time;
 /// A command that is wanted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Wanted {
-    /// Its bit.
+    /// The bit.
     pub word: u32,
     /// It replaces what is held and weaker, behind one idle packet.
     pub urgency: Urgency,
@@ -35,7 +35,7 @@ impl Wanted {
     }
 }
 
-/// What goes first.
+/// The edge that goes first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Urgency {
     /// It waits for its turn.
@@ -65,7 +65,7 @@ enum Phase {
     Held { wanted: Wanted, packets: u8, since: Time, answers: u8 },
 }
 
-/// What a packet changes.
+/// The changes of a packet.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Change {
     /// Nothing.
@@ -164,7 +164,7 @@ impl Edges {
         matches!(self.phase, Phase::Held { answers: 1.., .. })
     }
 
-    /// Its effect was seen.
+    /// The effect was seen.
     pub(super) fn is_seen(&self) -> bool {
         self.seen
     }

@@ -25,7 +25,7 @@ pub enum News {
         /// Which one.
         generation: u32,
     },
-    /// What was read of the drive outside its process data; again after each opening of a session.
+    /// The facts read of the drive outside its process data; again after each opening of a session.
     Read(Facts),
 }
 
@@ -48,15 +48,15 @@ pub struct Connection {
     pub incoming_api_ns: u64,
     /// Without an accepted packet of the drive for so long it has timed out, ns.
     pub timeout_ns: u64,
-    /// What our packets carry.
+    /// The contents of our packets.
     pub outputs: Outputs,
-    /// What the drive's packets carry.
+    /// The contents of the drive's packets.
     pub version: Version,
     /// The order of 0x65.
     pub layout: Layout,
 }
 
-/// What our packets carry.
+/// The contents of our packets.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Outputs {
     /// The run/idle header and assembly 0x70.
@@ -65,7 +65,7 @@ pub enum Outputs {
     Heartbeat(u8),
 }
 
-/// What was read of a drive by explicit messages, as far as its enable depends on it.
+/// The facts read of a drive by explicit messages, as far as its enable depends on them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Facts {
     /// Whether the register of the plan says that it has its reference.
@@ -87,7 +87,7 @@ pub enum Wish {
     },
 }
 
-/// Its kind, and what it holds.
+/// The kind, and what it holds.
 impl Part for News {
     const WORDS: usize = 13;
 
@@ -138,7 +138,7 @@ impl Part for News {
     }
 }
 
-/// What both sides look at in each step.
+/// The flags that both sides look at in each step.
 #[derive(Debug, Default)]
 struct Flags {
     /// The power of the drive is on, or may come on: calls that command it are refused.
@@ -189,7 +189,7 @@ impl LoopEnd {
         self.news.pop()
     }
 
-    /// Tells the session; false if there is no room: again in a later cycle.
+    /// Sends it to the session; false if there is no room: again in a later cycle.
     pub fn wish(&mut self, wish: Wish) -> bool {
         self.log.flag(true, self.wishes.push(wish).is_ok())
     }
@@ -213,7 +213,7 @@ impl LoopEnd {
 }
 
 impl SessionEnd {
-    /// Tells the loop; false if there is no room: again later.
+    /// Sends it to the loop; false if there is no room: again later.
     pub fn tell(&mut self, news: News) -> bool {
         let is_told = self.news.push(news).is_ok();
         if is_told {
@@ -247,7 +247,7 @@ impl SessionEnd {
         may
     }
 
-    /// Its end is known.
+    /// The end is known.
     pub fn end_commanding(&self) {
         self.flags.commanded.store(false, Ordering::SeqCst);
     }

@@ -23,7 +23,7 @@ pub struct NativeInputs {
     pub at: Time,
     /// Native mode ran when the packet before it was built: outputs written from now on go out.
     pub running: bool,
-    /// So many outputs of the application have begun in this and earlier native modes.
+    /// The number of outputs of the application that have begun in this and earlier native modes.
     pub begun: u32,
     /// The input assembly; `None` before the first packet.
     pub inputs: Option<Inputs>,

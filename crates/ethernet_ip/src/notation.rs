@@ -91,7 +91,7 @@ fn named(suffix: &str) -> Option<Values> {
 /// The name of something, its target, its values, and what it is.
 type Named = (&'static str, Target, Counts, &'static str);
 
-/// What has a name of its own here.
+/// The targets with a name of their own.
 #[rustfmt::skip]
 static NAMED: [Named; 8] = [
     ("encoder", Target::Encoder, number(32, true), "encoder position"),
@@ -176,7 +176,7 @@ impl Address {
     }
 }
 
-/// What follows a command.
+/// The operand of a command.
 fn operand(opcode: Opcode) -> Counts {
     let counts = match opcode.operand {
         Operand::None | Operand::Register => within(64, 0, 0),

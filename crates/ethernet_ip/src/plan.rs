@@ -33,7 +33,7 @@ pub const WATCHDOG_MAX_NS: u64 = 10 * S;
 /// One UDP socket and its drives, each with a session of its own.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EthernetIpPlan {
-    /// Its name in messages.
+    /// The name in messages.
     pub name: String,
     /// Where packets leave and arrive. Sessions leave from its address, too: a drive compares both.
     pub bind: SocketAddrV4,
@@ -48,16 +48,16 @@ pub struct EthernetIpPlan {
 /// An originator of connections.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Originator {
-    /// Its vendor.
+    /// The vendor.
     pub vendor: u16,
-    /// Its serial number: unique among all originators of this vendor on the network.
+    /// The serial number: unique among all originators of this vendor on the network.
     pub serial: u32,
 }
 
 /// One MOONS' STF or SSDC.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MoonsDrive {
-    /// What every protocol's axis has. Counts are motor steps, as the drive's EG sets them.
+    /// The settings of every protocol's axis. Counts are motor steps, as the drive's EG sets them.
     pub axis: AxisPlan,
     /// Motor steps of a revolution, as the drive's EG sets them: velocities are revolutions on the wire.
     pub steps_per_revolution: f64,
@@ -65,7 +65,7 @@ pub struct MoonsDrive {
     pub address: SocketAddrV4,
     /// Which device has to be there.
     pub expected: Expected,
-    /// What the connection may do.
+    /// The access of the connection.
     pub connection: Access,
     /// It has a class 1 connection. Without one there are explicit messages only: they need none, and own nothing.
     pub cyclic: bool,
@@ -94,7 +94,7 @@ pub struct MoonsDrive {
     pub hold: u8,
     /// A command whose effect is not seen within this time was not taken, ns.
     pub effect_within_ns: u64,
-    /// What stops the drive if the master dies.
+    /// The watchdog that stops the drive if the master dies.
     pub watchdog: Watchdog,
     /// The input that is its hardware enable; `None`: none is wired.
     pub enable_input: Option<EnableInput>,
@@ -116,11 +116,11 @@ pub struct MoonsDrive {
 /// electronic key.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Expected {
-    /// Its vendor.
+    /// The vendor.
     pub vendor: Option<u16>,
-    /// Its product code.
+    /// The product code.
     pub product: Option<u16>,
-    /// Its serial number.
+    /// The serial number.
     pub serial: Option<u32>,
 }
 
@@ -148,11 +148,11 @@ pub enum Explicit {
     Connected,
 }
 
-/// What makes the drive stop by itself when nothing comes any more: its parameters ZS and ZA. They are taken on trust:
-/// no message of the Host Command Reference reads them.
+/// The watchdog that makes the drive stop by itself when no packets come any more: its parameters ZS and ZA. They are
+/// taken on trust: no message of the Host Command Reference reads them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Watchdog {
-    /// What ZS is set to at most, ns; `None`: it is 0, and the drive does not stop by itself.
+    /// The highest value of ZS, ns; `None`: it is 0, and the drive does not stop by itself.
     pub within_ns: Option<u64>,
     /// Motion is taken although the drive does not stop by itself.
     pub accept_none: bool,
@@ -172,7 +172,7 @@ pub struct EnableInput {
 pub struct Homing {
     /// The command.
     pub method: HomingMethod,
-    /// Its condition and input, as the drive counts them: 0x4CB2 is input 2, low.
+    /// The condition and input, as the drive counts them: 0x4CB2 is input 2, low.
     pub input: u16,
     /// Velocity, user units/s.
     pub velocity: f64,
@@ -347,7 +347,7 @@ impl MoonsDrive {
         acceleration * self.revolutions_per_unit() * ACCELERATION_PER_REV
     }
 
-    /// What it shows besides, in the order of `monitor`.
+    /// The additional values that it shows, in the order of `monitor`.
     pub fn shown(&self) -> [Option<MonitorChannel>; MONITOR_CHANNELS] {
         let channel = |name: &str, unit| Some(MonitorChannel { name: name.to_owned(), unit });
         let has_error = self.layout == Layout::Manual && self.version != Some(Version::V1);
@@ -378,7 +378,7 @@ const fn times(rpi_ns: u64, code: u8) -> u64 {
 }
 
 impl Access {
-    /// Its words in the configuration.
+    /// The words in the configuration.
     pub const WORDS: [(&'static str, Access); 3] =
         [("owner", Access::Owner), ("input-only", Access::InputOnly), ("listen-only", Access::ListenOnly)];
 }

@@ -39,7 +39,7 @@ const LEAP: i32 = 3;
 /// Bytes of a line of the cache.
 const LINE: usize = 64;
 
-/// So many words before the profile let what each exchange touches of it begin a line.
+/// The number of words before the profile that let its part touched by each exchange begin a line.
 const BEFORE: usize = (LINE - (size_of::<Profile>() - Profile::TOUCHED) % LINE) % LINE / 8;
 
 /// One drive. What every exchange touches lies on four lines of the cache, from the end of `profile` to the start of
@@ -71,7 +71,7 @@ pub struct Station {
     enable_input: Option<EnableInput>,
     /// The number of the packet whose values were taken last.
     last: u32,
-    /// So many outputs of the application have begun.
+    /// The number of outputs of the application that have begun.
     begun: u32,
     fresh_within_ns: u64,
     seen: Seen,
@@ -84,7 +84,7 @@ pub struct Station {
     shift: f64,
     /// Of the velocity in a packet, in user units/s.
     velocity_per_count: f64,
-    /// What was reported last besides.
+    /// The additional values that were reported last.
     shown: Shown,
     native: NativePort,
     end: LoopEnd,
@@ -270,7 +270,8 @@ impl Station {
         self.profile.disconnected();
     }
 
-    /// What the session is to do, as soon as it has room for it; and the end of a connection on which no packet comes.
+    /// The next task of the session, as soon as it has room for it; and the end of a connection on which no packet
+    /// comes.
     #[inline]
     pub(super) fn watch(&mut self, cycle: &Cycle, slot: &mut Slot) {
         if cycle.grid > self.ends_at

@@ -47,15 +47,15 @@ pub const NOT_READ: u32 = NO_CALL + 3;
 /// Status of a call: the value to be written was not handed over whole before it in its series.
 pub const NOT_LOADED: u32 = NO_CALL + 4;
 
-/// What a call does.
+/// The service of a call.
 pub type Service = long::Service<Target>;
 
-/// What a call reads or writes.
+/// The target that a call reads or writes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Target {
     /// A parameter of `opcodes::PARAMETERS`.
     Parameter {
-        /// Its index.
+        /// The index.
         index: u8,
         /// Also in the flash memory: only written.
         flash: bool,
@@ -64,7 +64,7 @@ pub enum Target {
     Register(u8),
     /// A buffered command of `opcodes::OPCODES`.
     Command {
-        /// Its code.
+        /// The code.
         code: u8,
         /// The register or I/O code next to its operand; 0 for most.
         field: u8,

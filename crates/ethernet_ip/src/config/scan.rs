@@ -227,7 +227,7 @@ mod tests {
 
     /// A firewall holds its datagrams back. The answer comes in pieces.
     #[test]
-    fn a_device_that_does_not_answer_by_udp_is_asked_by_tcp() {
+    fn a_device_without_udp_answer_is_requested_by_tcp() {
         let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
         let SocketAddr::V4(target) = listener.local_addr().unwrap() else { unreachable!("bound to IPv4") };
         let _mute = UdpSocket::bind(target).unwrap();

@@ -57,7 +57,7 @@ pub(super) fn hyphened(name: &str) -> String {
     name.replace(' ', "-")
 }
 
-/// What a parameter or command is.
+/// The name of a parameter or command.
 #[rustfmt::skip]
 pub(super) fn meaning(name: &str) -> Option<&'static str> {
     Some(match name {

@@ -67,7 +67,7 @@ fn another_machine_has_addresses_of_its_own() {
 }
 
 #[test]
-fn what_is_shown_has_its_names_in_its_order_and_an_alarm_word_that_of_the_alarm_that_took_the_current() {
+fn monitored_values_are_named_in_order_and_an_alarm_word_by_the_alarm_that_cut_the_current() {
     let inputs = Inputs {
         voltage: 242,
         temperature: 305,

@@ -15,7 +15,7 @@ const FIRST_VERSION: &str =
 /// The demand ends exactly at its target; a step is left to its rounding.
 const ARRIVAL_STEPS: f64 = 2.0;
 
-/// What a drive can do, with a packet every `rpi_ns`.
+/// The capabilities of a drive, with a packet every `rpi_ns`.
 pub fn capabilities(drive: &MoonsDrive, period_ns: u64) -> Capabilities {
     let units = &drive.axis.units;
     let ends = [i32::MIN, i32::MAX].map(|count| f64::from(count) / units.counts_per_unit);

@@ -41,7 +41,7 @@ const NO_POWER: &str = "its power is the master's in this native mode: give it a
      or own the control word";
 const BUSY_NOW: &str = "the drive is busy: it starts, saves its parameters or runs a Q program";
 
-/// Its setpoint generator runs.
+/// The setpoint generator runs.
 const MOVES: u16 = status::MOVING | status::JOGGING | status::STOPPING | status::HOMING;
 /// No command is taken meanwhile.
 const BUSY: u16 = status::SAVING | status::PROGRAM | status::INITIALIZING;
@@ -65,7 +65,7 @@ impl Seen {
         self.status & bits != 0
     }
 
-    /// Its setpoint generator runs.
+    /// The setpoint generator runs.
     pub(super) fn moves(&self) -> bool {
         self.has(MOVES)
     }
@@ -86,11 +86,11 @@ enum Step {
     /// Nothing is to be sent: it was, or nothing is needed.
     #[default]
     Settled,
-    /// What moves before it has to stand first.
+    /// The present motion has to stand first.
     Clearing,
-    /// Its command has to be sent.
+    /// The command has to be sent.
     Due,
-    /// Its command is held.
+    /// The command is held.
     Held,
     /// Of a homing: its command was taken, and it runs.
     Runs,
@@ -98,7 +98,7 @@ enum Step {
     Zeroing { held: bool },
 }
 
-/// Whose command is held.
+/// The owner of the held command.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 enum Holder {
     #[default]
@@ -110,7 +110,7 @@ enum Holder {
     Native,
 }
 
-/// What the packets that left, and those of the drive, have led to.
+/// The state after the packets that left, and those of the drive.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct State {
     edges: Edges,
@@ -140,7 +140,7 @@ struct State {
     /// The position has become zero in this homing; that is new, and was no motion.
     zeroed: bool,
     rehomed: bool,
-    /// So many outputs of the application have left.
+    /// The number of outputs of the application that have left.
     native_taken: u32,
 }
 
@@ -160,7 +160,7 @@ pub(super) struct Profile {
 /// No revision comes to this.
 const UNSETTLED: u64 = u64::MAX;
 
-/// What does not change.
+/// The constants.
 #[derive(Debug)]
 struct Rules {
     units: Units,
@@ -232,7 +232,7 @@ impl Profile {
         self.state.change(|state| (state.homed, state.jog, state.ramp) = (false, None, None));
     }
 
-    /// What was read of the drive outside its packets.
+    /// Takes the facts read of the drive outside its packets.
     pub(super) fn read(&mut self, facts: Facts) {
         (self.facts, self.settled) = (facts, UNSETTLED);
         if let (true, Some(homed)) = (self.rules.registers_home, facts.homed) {

@@ -9,7 +9,7 @@ use fieldbeat_core::bus::desired::{
 };
 
 impl Profile {
-    /// What a packet of the drive proves.
+    /// Takes the evidence of a packet of the drive.
     #[doc(hidden)]
     pub fn take(&mut self, seen: &Seen, evidence: &mut Evidence) {
         let Profile { state, rules, settled, .. } = self;

@@ -79,7 +79,7 @@ impl State {
         }
     }
 
-    /// What goes with the command that begins.
+    /// The parameters of the command that begins.
     pub(super) fn parameters(
         &self,
         holder: Holder,
@@ -196,7 +196,7 @@ pub(super) fn is_begun(motion: Motion) -> bool {
     matches!(motion, Motion::Move { .. } | Motion::Velocity { .. } | Motion::Home)
 }
 
-/// What the application may command in native mode while the master keeps the drive running: something, and not its
+/// True if the application commands something in native mode while the master keeps the drive running, and not its
 /// power.
 pub(super) fn is_motion(output: &NativeOutput) -> bool {
     let word = output.outputs.command;

@@ -33,7 +33,7 @@ struct Active {
     is_off: bool,
 }
 
-/// What is sent for a call.
+/// The message of a call.
 #[derive(Debug)]
 struct Message {
     service: u8,
@@ -159,7 +159,7 @@ impl Calls {
         self.active.as_ref().is_some_and(|active| !active.sent && active.commands && !active.is_off)
     }
 
-    /// What the drive says of that; an error is its refusal.
+    /// Takes the drive's answer to that; an error is its refusal.
     pub(super) fn power(&mut self, is_on: Result<bool, u32>) {
         match is_on {
             Ok(false) => self.active.iter_mut().for_each(|active| active.is_off = true),

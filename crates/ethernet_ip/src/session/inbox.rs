@@ -4,7 +4,7 @@
 use std::net::{Ipv4Addr, SocketAddrV4};
 
 use super::requests::{STATUS, read_register};
-use super::{Connected, Io, Joined, Life, Open, Phase, Session, Way, What, words};
+use super::{Connected, Io, Joined, Life, Open, Phase, RequestKind, Session, Way, words};
 use crate::exchange::{Connection, News, Outputs};
 use crate::plan::{Access, Delivery, IO_PORT, Version};
 use crate::target;
@@ -44,12 +44,14 @@ impl Session {
         match header.command {
             // Nothing is meant by it.
             command::NOP => return Ok(()),
-            command::REGISTER_SESSION if self.is_due(header.context, |what| what == What::Register) => {
+            command::REGISTER_SESSION
+                if self.is_due(header.context, |what| what == RequestKind::Register) =>
+            {
                 return self.registered(now, frame, out);
             }
             command::SEND_RR_DATA
                 if header.session == self.handle
-                    && self.is_due(header.context, |what| what != What::Register) =>
+                    && self.is_due(header.context, |what| what != RequestKind::Register) =>
             {
                 if header.status != encapsulation::Status::OK {
                     return self.refused_by_encapsulation(header.status);
@@ -75,7 +77,7 @@ impl Session {
     }
 
     /// Whether the request under way has this context, and is such a one.
-    fn is_due(&self, received: u64, is_such: impl FnOnce(What) -> bool) -> bool {
+    fn is_due(&self, received: u64, is_such: impl FnOnce(RequestKind) -> bool) -> bool {
         self.pending.as_ref().is_some_and(|pending| {
             matches!(pending.way, Way::Unconnected { context } if context == received)
                 && is_such(pending.what)
@@ -98,14 +100,14 @@ impl Session {
             return Err(format!("the drive refuses to register a session: {}", header.status));
         }
         self.handle = header.session;
-        self.ask(now, out, What::Identity);
+        self.ask(now, out, RequestKind::Identity);
         Ok(())
     }
 
     /// The encapsulation of the drive refused the request under way.
     fn refused_by_encapsulation(&mut self, status: encapsulation::Status) -> Result<(), String> {
         let what = self.pending.as_ref().map(|pending| pending.what);
-        if status == encapsulation::Status::NO_SESSION || what != Some(What::Call) {
+        if status == encapsulation::Status::NO_SESSION || what != Some(RequestKind::Call) {
             return Err(format!("the drive refuses a message: {status}"));
         }
         self.pending = None;
@@ -121,18 +123,18 @@ impl Session {
             self.unmatched += 1;
             return Ok(());
         };
-        if pending.what != What::Call {
+        if pending.what != RequestKind::Call {
             self.calls.settle(&self.end);
         }
         match pending.what {
-            What::Register | What::Probe => {}
-            What::Identity => self.identified(now, &reply, out)?,
-            What::Profile => self.profiled(&reply)?,
-            What::Homed(register) => {
+            RequestKind::Register | RequestKind::Probe => {}
+            RequestKind::Identity => self.identified(now, &reply, out)?,
+            RequestKind::Profile => self.profiled(&reply)?,
+            RequestKind::Homed(register) => {
                 let value = answer(&read_register(register), reply.data).filter(|_| reply.status.is_ok());
                 self.facts(value.map(|value| value != 0));
             }
-            What::Open(open, outputs, version) => match Opened::parse(&reply, open.triad) {
+            RequestKind::Open(open, outputs, version) => match Opened::parse(&reply, open.triad) {
                 // The triad was compared above.
                 Ok(opened) => self.opened(now, open, (outputs, version), &opened, &come),
                 Err(ConnectionError::Refused(status)) => self.opening_refused(now, &status),
@@ -141,7 +143,7 @@ impl Session {
                     self.pause(now, 0, |pause_ns| words::unusable(&why, pause_ns));
                 }
             },
-            What::OpenConnected(open) => match Opened::parse(&reply, open.triad) {
+            RequestKind::OpenConnected(open) => match Opened::parse(&reply, open.triad) {
                 Ok(Opened { outgoing_id: outgoing, incoming_id: incoming, .. }) => {
                     self.connected =
                         Connected::Open { outgoing, incoming, opened: open, sequence: 0, used: now };
@@ -155,31 +157,31 @@ impl Session {
                 }
             },
             // Closed, or not there: nothing is left of it.
-            What::Close => self.end_close(),
-            What::Power => self.calls.power(match answer(&STATUS, reply.data) {
+            RequestKind::Close => self.end_close(),
+            RequestKind::Power => self.calls.power(match answer(&STATUS, reply.data) {
                 _ if !reply.status.is_ok() => Err(target::refusal(reply.status)),
                 Some(word) => Ok(word & u32::from(status::ENABLED) != 0),
                 None => Err(target::BROKEN),
             }),
-            What::Call => self.calls.answer(&self.end, &reply),
+            RequestKind::Call => self.calls.answer(&self.end, &reply),
         }
         Ok(())
     }
 
     /// Whether this can be the answer.
-    fn fits(&self, what: What, reply: &Reply<'_>) -> bool {
+    fn fits(&self, what: RequestKind, reply: &Reply<'_>) -> bool {
         let opens = |open: Open| Opened::parse(reply, open.triad) != Err(ConnectionError::Other);
         match what {
-            What::Register => false,
-            What::Identity => reply.service == service::GET_ATTRIBUTES_ALL,
-            What::Profile | What::Probe => reply.service == service::GET_ATTRIBUTE_SINGLE,
-            What::Homed(_) | What::Power => reply.service == service::VENDOR,
-            What::Open(open, ..) | What::OpenConnected(open) => opens(open),
-            What::Close => self.to_close.front().is_some_and(|open| {
+            RequestKind::Register => false,
+            RequestKind::Identity => reply.service == service::GET_ATTRIBUTES_ALL,
+            RequestKind::Profile | RequestKind::Probe => reply.service == service::GET_ATTRIBUTE_SINGLE,
+            RequestKind::Homed(_) | RequestKind::Power => reply.service == service::VENDOR,
+            RequestKind::Open(open, ..) | RequestKind::OpenConnected(open) => opens(open),
+            RequestKind::Close => self.to_close.front().is_some_and(|open| {
                 let closed = connection::closed(reply, open.triad);
                 closed != Err(ConnectionError::Other)
             }),
-            What::Call => self.calls.fits(reply),
+            RequestKind::Call => self.calls.fits(reply),
         }
     }
 
@@ -201,7 +203,7 @@ impl Session {
         if self.drive.version.is_some() || self.life != Life::Serving {
             self.phase = Phase::Up;
         } else {
-            self.ask(now, out, What::Profile);
+            self.ask(now, out, RequestKind::Profile);
         }
         Ok(())
     }
@@ -259,8 +261,8 @@ impl Session {
         self.io = Io::Open { generation: self.generation, opened: open, _group: group };
         self.note(None);
         // A configured version is refused or described by `check`.
-        let unasked = self.access(version) != self.drive.connection && self.drive.version.is_none();
-        self.remarks.set(0, unasked.then(|| words::INPUT_ONLY.to_owned()));
+        let is_unconfigured = self.access(version) != self.drive.connection && self.drive.version.is_none();
+        self.remarks.set(0, is_unconfigured.then(|| words::INPUT_ONLY.to_owned()));
         self.tell(News::Opened(connection));
     }
 

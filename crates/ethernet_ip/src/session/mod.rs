@@ -49,7 +49,7 @@ const CONNECTED_IDLE_NS: u64 = 10 * S;
 const LEAST_PAUSE_NS: u64 = S;
 /// ... up to this.
 const MOST_PAUSE_NS: u64 = 16 * S;
-/// So many connections that may still be open in the drive are remembered, to be closed.
+/// The number of connections that may still be open in the drive and are remembered, to be closed.
 const MOST_TO_CLOSE: usize = 4;
 
 /// How far the session on the present TCP connection is.
@@ -79,7 +79,7 @@ enum Life {
 enum Io {
     /// It may be opened from this instant on.
     Closed { from: Time },
-    /// Its opening is under way.
+    /// The opening is under way.
     Opening,
     /// The loop has it.
     Open { generation: u32, opened: Open, _group: Option<Joined> },
@@ -92,7 +92,7 @@ enum Connected {
     Open { outgoing: u32, incoming: u32, opened: Open, sequence: u16, used: Time },
 }
 
-/// What closes a connection.
+/// The numbers that close a connection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Open {
     triad: Triad,
@@ -115,15 +115,15 @@ impl Drop for Joined {
 /// The request under way.
 #[derive(Debug)]
 struct Pending {
-    what: What,
+    what: RequestKind,
     way: Way,
     sent: Time,
     until: Time,
 }
 
-/// What was requested.
+/// The kind of the request under way.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum What {
+enum RequestKind {
     Register,
     Identity,
     Profile,
@@ -179,7 +179,7 @@ pub struct Session {
     /// The drive by its name, for messages.
     device: String,
     version: Option<Version>,
-    /// What the loop has to know is to be read.
+    /// The facts for the loop are to be read.
     facts_due: bool,
     io: Io,
     form: Form,
@@ -253,7 +253,7 @@ impl Session {
         self.notes.clone()
     }
 
-    /// What is to be known of the drive although the connection is open: at index 0.
+    /// The remarks on the drive although the connection is open: at index 0.
     pub fn remarks(&self) -> LinkNotes {
         self.remarks.clone()
     }
@@ -262,7 +262,7 @@ impl Session {
         self.notes.set(0, note.map(|words| format!("{}: {words}", self.drive.address)));
     }
 
-    /// What its connection may do: a unit of the first version has no outputs to own.
+    /// The access of its connection: a unit of the first version has no outputs to own.
     fn access(&self, version: Version) -> Access {
         match (version, self.drive.connection) {
             (Version::V1, Access::Owner) => Access::InputOnly,
@@ -371,11 +371,11 @@ impl Session {
     /// Gives up the request under way.
     fn drop_pending(&mut self) {
         match self.pending.take().map(|pending| pending.what) {
-            Some(What::Open(open, ..)) => {
+            Some(RequestKind::Open(open, ..)) => {
                 self.close_later(open);
                 self.io = Io::Closed { from: Time(0) };
             }
-            Some(What::OpenConnected(open)) => self.close_later(open),
+            Some(RequestKind::OpenConnected(open)) => self.close_later(open),
             _ => {}
         }
     }
@@ -399,7 +399,7 @@ impl Session {
     /// The next request, or something that needs none; false if there is nothing to do now.
     fn step(&mut self, now: Time, out: &mut Vec<u8>) -> bool {
         if let Some(open) = self.to_close.front().copied() {
-            self.request(now, out, What::Close, &forward_close(open.triad, open.target));
+            self.request(now, out, RequestKind::Close, &forward_close(open.triad, open.target));
             return true;
         }
         match self.life {
@@ -414,7 +414,7 @@ impl Session {
         }
         if self.probe_due || self.calls.owes() {
             self.probe_due = false;
-            self.ask(now, out, What::Probe);
+            self.ask(now, out, RequestKind::Probe);
         } else if self.facts_due {
             self.read_facts(now, out);
         } else if let (Io::Closed { from }, Some(version), true) = (&self.io, self.version, self.drive.cyclic)
@@ -448,14 +448,14 @@ impl Session {
     fn call(&mut self, now: Time, out: &mut Vec<u8>) {
         let connected = self.drive.explicit == Explicit::Connected;
         if !self.drive.cyclic && self.calls.waits_for_power() {
-            self.ask(now, out, What::Power);
+            self.ask(now, out, RequestKind::Power);
         } else if connected && matches!(self.connected, Connected::Closed) {
             self.connect(now, out);
         } else if let Some((until, message)) = self.calls.send(&self.end) {
             if connected {
-                self.send_connected(now, out, What::Call, until, message);
+                self.send_connected(now, out, RequestKind::Call, until, message);
             } else {
-                self.send(now, out, What::Call, until, &message, None);
+                self.send(now, out, RequestKind::Call, until, &message, None);
             }
         }
     }
@@ -464,10 +464,16 @@ impl Session {
         if let Connected::Open { used, .. } = self.connected
             && now.since(used) >= CONNECTED_IDLE_NS
         {
-            return self.send_connected(now, out, What::Probe, now + 2 * ANSWER_NS, What::Probe.message());
+            return self.send_connected(
+                now,
+                out,
+                RequestKind::Probe,
+                now + 2 * ANSWER_NS,
+                RequestKind::Probe.message(),
+            );
         }
         if now.since(self.last_sent) >= IDLE_NS {
-            self.ask(now, out, What::Probe);
+            self.ask(now, out, RequestKind::Probe);
             return true;
         }
         false
@@ -495,31 +501,31 @@ impl Session {
         let unmatched = self.unmatched;
         let silent = |what| Err(words::silent(what, waited_ns, unmatched));
         match what {
-            What::Register => return silent("the registration of a session"),
-            What::Identity => return silent("a request for its identity"),
-            What::Profile => return silent("a request for its profile code"),
-            What::Homed(_) => return silent("a request for a register"),
-            What::Probe if !connected => return silent("a request that every device answers"),
-            What::Close => {
+            RequestKind::Register => return silent("the registration of a session"),
+            RequestKind::Identity => return silent("a request for its identity"),
+            RequestKind::Profile => return silent("a request for its profile code"),
+            RequestKind::Homed(_) => return silent("a request for a register"),
+            RequestKind::Probe if !connected => return silent("a request that every device answers"),
+            RequestKind::Close => {
                 self.end_close();
                 if self.life == Life::Serving {
                     return silent("the closing of a connection");
                 }
             }
             // It may be open all the same.
-            What::Open(open, ..) => {
+            RequestKind::Open(open, ..) => {
                 self.close_later(open);
                 self.pause(now, 0, |_| words::unanswered(waited_ns));
             }
-            What::OpenConnected(open) => {
+            RequestKind::OpenConnected(open) => {
                 self.close_later(open);
                 self.calls.silent();
             }
-            What::Power | What::Call => {
+            RequestKind::Power | RequestKind::Call => {
                 self.calls.silent();
                 self.probe_due = true;
             }
-            What::Probe => {}
+            RequestKind::Probe => {}
         }
         if connected {
             self.disconnect();
@@ -547,7 +553,7 @@ impl Handshake for Session {
         self.facts_due = true;
         let context = self.next_context();
         encapsulation::register_session(out, context);
-        self.wait(now, What::Register, Way::Unconnected { context }, now + ANSWER_NS);
+        self.wait(now, RequestKind::Register, Way::Unconnected { context }, now + ANSWER_NS);
         HandshakeState::More
     }
 

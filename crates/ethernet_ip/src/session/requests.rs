@@ -2,7 +2,7 @@
 
 use std::net::{Ipv4Addr, SocketAddrV4};
 
-use super::{ANSWER_NS, Connected, Io, Open, Pending, Session, Way, What};
+use super::{ANSWER_NS, Connected, Io, Open, Pending, RequestKind, Session, Way};
 use crate::exchange::Outputs;
 use crate::plan::{Access, Delivery, Expected, IO_PORT, Originator, Version};
 use crate::wire::cip::{self, Key, Segment, class, service};
@@ -29,14 +29,16 @@ pub(super) const fn read_register(register: u8) -> Payload {
     message::immediate(immediate::READ_REGISTER, register, 0)
 }
 
-impl What {
+impl RequestKind {
     /// The request of something that is only read.
     pub(super) fn message(self) -> Vec<u8> {
         match self {
-            What::Identity => cip::request(service::GET_ATTRIBUTES_ALL, &IDENTITY, &[]),
-            What::Profile => cip::request(service::GET_ATTRIBUTE_SINGLE, &message::PROFILE_PATH, &[]),
-            What::Homed(register) => cip::request(service::VENDOR, &message::PATH, &read_register(register)),
-            What::Power => cip::request(service::VENDOR, &message::PATH, &STATUS),
+            RequestKind::Identity => cip::request(service::GET_ATTRIBUTES_ALL, &IDENTITY, &[]),
+            RequestKind::Profile => cip::request(service::GET_ATTRIBUTE_SINGLE, &message::PROFILE_PATH, &[]),
+            RequestKind::Homed(register) => {
+                cip::request(service::VENDOR, &message::PATH, &read_register(register))
+            }
+            RequestKind::Power => cip::request(service::VENDOR, &message::PATH, &STATUS),
             _ => cip::request(service::GET_ATTRIBUTE_SINGLE, &VENDOR_ID, &[]),
         }
     }
@@ -44,12 +46,12 @@ impl What {
 
 impl Session {
     /// Requests something that is only read.
-    pub(super) fn ask(&mut self, now: Time, out: &mut Vec<u8>, what: What) {
+    pub(super) fn ask(&mut self, now: Time, out: &mut Vec<u8>, what: RequestKind) {
         self.request(now, out, what, &what.message());
     }
 
     /// Sends a request of the session's own.
-    pub(super) fn request(&mut self, now: Time, out: &mut Vec<u8>, what: What, message: &[u8]) {
+    pub(super) fn request(&mut self, now: Time, out: &mut Vec<u8>, what: RequestKind, message: &[u8]) {
         self.send(now, out, what, now + ANSWER_NS, message, None);
     }
 
@@ -58,7 +60,7 @@ impl Session {
         &mut self,
         now: Time,
         out: &mut Vec<u8>,
-        what: What,
+        what: RequestKind,
         until: Time,
         message: &[u8],
         incoming: Option<SocketAddrV4>,
@@ -68,8 +70,8 @@ impl Session {
         self.wait(now, what, Way::Unconnected { context }, until);
     }
 
-    /// What was sent now is the request under way.
-    pub(super) fn wait(&mut self, now: Time, what: What, way: Way, until: Time) {
+    /// Makes the sent request the one under way.
+    pub(super) fn wait(&mut self, now: Time, what: RequestKind, way: Way, until: Time) {
         self.last_sent = now;
         self.pending = Some(Pending { what, way, sent: now, until });
     }
@@ -79,7 +81,7 @@ impl Session {
         &mut self,
         now: Time,
         out: &mut Vec<u8>,
-        what: What,
+        what: RequestKind,
         until: Time,
         message: Vec<u8>,
     ) -> bool {
@@ -102,7 +104,7 @@ impl Session {
     /// Reads what the loop has to know of the drive.
     pub(super) fn read_facts(&mut self, now: Time, out: &mut Vec<u8>) {
         match self.drive.homed_register {
-            Some(register) => self.ask(now, out, What::Homed(register)),
+            Some(register) => self.ask(now, out, RequestKind::Homed(register)),
             None => self.facts(None),
         }
     }
@@ -125,7 +127,7 @@ impl Session {
         u32::from(self.index) << 16 | u32::from(triad.serial)
     }
 
-    /// What a device compares itself before it opens a connection.
+    /// The key that a device compares itself before it opens a connection.
     fn key(&self) -> Key {
         let Expected { vendor, product, .. } = self.drive.expected;
         Key { vendor: vendor.unwrap_or(0), product_code: product.unwrap_or(0) }
@@ -169,7 +171,7 @@ impl Session {
         // The drive takes the port only.
         let incoming = elsewhere.then(|| SocketAddrV4::new(Ipv4Addr::UNSPECIFIED, self.bind.port()));
         self.io = Io::Opening;
-        let what = What::Open(Open { triad, target }, outputs, version);
+        let what = RequestKind::Open(Open { triad, target }, outputs, version);
         self.send(now, out, what, now + ANSWER_NS, &message, incoming);
     }
 
@@ -189,7 +191,7 @@ impl Session {
             configuration: &[],
             large: false,
         };
-        let what = What::OpenConnected(Open { triad, target: Target::Messages });
+        let what = RequestKind::OpenConnected(Open { triad, target: Target::Messages });
         self.request(now, out, what, &request.message());
     }
 }

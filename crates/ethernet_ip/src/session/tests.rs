@@ -166,7 +166,7 @@ impl Bench {
         self.receive(&framed(0x65, SESSION, self.context, &hex("01 00 00 00")));
     }
 
-    /// What was sent.
+    /// The sent bytes.
     fn taken(&mut self) -> Vec<u8> {
         std::mem::take(&mut self.out)
     }
@@ -214,7 +214,7 @@ impl Bench {
         assert_eq!(self.taken(), framed(0x66, SESSION, 0, &[]));
     }
 
-    /// So much time passes, with a look at each due instant.
+    /// Lets `ns` pass, with a look at each due instant.
     fn pass(&mut self, ns: u64) {
         let until = self.now + ns;
         while let Some(due) = self.session.next_due().filter(|due| *due <= until) {
@@ -240,7 +240,7 @@ impl Bench {
         self.out.clear();
     }
 
-    /// What the loop has received.
+    /// The news that the loop has received.
     fn news(&mut self) -> Vec<News> {
         std::iter::from_fn(|| self.loop_end.news()).collect()
     }

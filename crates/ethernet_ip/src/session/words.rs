@@ -51,7 +51,7 @@ pub(super) const INPUT_ONLY: &str = "it is of version v1, which has no output as
      reads, and no command reaches it; set \
      version = \"v1\", or use a drive of version v2";
 
-/// What answers something else than the request.
+/// The remedy for answers to something else than the request.
 const STRAY: &str = "look whether another device or a gateway has its address, and at its firmware";
 
 /// The opening was refused.

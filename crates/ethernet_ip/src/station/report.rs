@@ -18,7 +18,7 @@ pub(super) struct Turns {
     encoder: Unwrap,
 }
 
-/// What a drive shows besides, in its own integers.
+/// The additional values of a drive, in its own integers.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Shown([u32; 4]);
 
@@ -30,7 +30,7 @@ impl Shown {
     }
 }
 
-/// What a drive shows besides is reported when it has changed, and with every so many packets.
+/// The number of packets after which additional values are reported although they have not changed.
 const SHOWN_EVERY: u32 = 16;
 
 impl Station {
@@ -102,7 +102,7 @@ impl Station {
         notices.fresh = true;
     }
 
-    /// What the states of a packet report and prove.
+    /// Takes the reported states of a packet, and their evidence.
     #[inline(never)]
     fn prove(&mut self, slot: &mut Slot) {
         let Slot { status: report, notices, evidence, .. } = slot;
@@ -133,7 +133,7 @@ impl Station {
         self.steps_per_encoder_count != 0.0
     }
 
-    /// Its hardware enable is missing, where one is wired. A closed input is 0.
+    /// The hardware enable is missing, where one is wired. A closed input is 0.
     fn has_sto_open(&self, main_inputs: u32) -> bool {
         self.enable_input.is_some_and(|input| {
             let bit = input.number.saturating_sub(1).min(31);

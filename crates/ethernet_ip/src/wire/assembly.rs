@@ -41,7 +41,7 @@ pub const fn input_size(version: Version) -> usize {
     }
 }
 
-/// What a drive tells, in its own integers.
+/// The input assembly of a drive, in its own integers.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Inputs {
     /// See [`status`].
@@ -135,8 +135,8 @@ impl Inputs {
     }
 }
 
-/// What a drive is told, in its own integers. Velocities are in 1/240 rev/s (0.25 rpm), accelerations in 10 rpm/s:
-/// "10 rev/s/s" in the tables is a misprint, as the examples of the manual show.
+/// The output assembly of a drive, in its own integers. Velocities are in 1/240 rev/s (0.25 rpm), accelerations in 10
+/// rpm/s: "10 rev/s/s" in the tables is a misprint, as the examples of the manual show.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Outputs {
     /// See [`command`].
@@ -243,7 +243,7 @@ pub mod status {
     /// Initialising after power-up.
     pub const INITIALIZING: u16 = 0x8000;
 
-    /// What each bit says, the lowest first.
+    /// The meaning of each bit, the lowest first.
     pub const NAMES: [&str; 16] = [
         "enabled",
         "sampling",
@@ -267,7 +267,7 @@ pub mod status {
 /// A bit of the alarm word (AL).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Alarm {
-    /// What it says.
+    /// The meaning.
     pub name: &'static str,
     /// It takes the current from the motor.
     pub fault: bool,

@@ -132,9 +132,9 @@ pub fn request(service: u8, path: &[Segment<'_>], data: &[u8]) -> Vec<u8> {
 pub struct Reply<'a> {
     /// That of the request.
     pub service: u8,
-    /// What became of it.
+    /// The outcome.
     pub status: Status,
-    /// What it answers.
+    /// The data of the answer.
     pub data: &'a [u8],
 }
 
@@ -152,7 +152,7 @@ impl<'a> Reply<'a> {
     }
 }
 
-/// What became of a request.
+/// The outcome of a request.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Status {
     /// 0 is done.
@@ -224,7 +224,7 @@ impl fmt::Display for Status {
     }
 }
 
-/// What a general status says (CIP, volume 1, appendix B-1).
+/// The meaning of a general status (CIP, volume 1, appendix B-1).
 pub fn general_name(general: u8) -> Option<&'static str> {
     Some(match general {
         0x00 => "ok",
@@ -258,7 +258,7 @@ pub fn general_name(general: u8) -> Option<&'static str> {
     })
 }
 
-/// What the extended status says with the general status 1 (CIP, volume 1, table 3-5.33).
+/// The meaning of the extended status with the general status 1 (CIP, volume 1, table 3-5.33).
 pub fn extended_name(extended: u16) -> Option<&'static str> {
     Some(match extended {
         0x0100 => "connection in use, or opened twice",

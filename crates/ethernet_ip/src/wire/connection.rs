@@ -52,7 +52,7 @@ impl Direction {
     }
 }
 
-/// What tells a connection from every other one, on any network.
+/// The numbers that distinguish a connection from every other one, on any network.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Triad {
     /// Another one for each opening.
@@ -75,7 +75,7 @@ impl Triad {
     }
 }
 
-/// What a connection may do: its value is the output assembly, or what stands in its place.
+/// The access of a connection: its value is the output assembly, or what stands in its place.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Access {
     /// It owns the outputs.
@@ -87,12 +87,12 @@ pub enum Access {
     ListenOnly,
 }
 
-/// What a connection is to.
+/// The target of a connection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Target {
     /// Process data: class 1, cyclic.
     Assemblies {
-        /// What it may do. A drive of the first version has no outputs to own.
+        /// The access. A drive of the first version has no outputs to own.
         access: Access,
         /// Which assemblies the drive has.
         version: Version,
@@ -141,7 +141,7 @@ pub const fn incoming_size(version: Version) -> u16 {
 pub struct ForwardOpen<'a> {
     /// The id that the drive's packets are to have, unless it sends to a group. It chooses that of ours.
     pub incoming_id: u32,
-    /// Whose connection it is.
+    /// The owner of the connection.
     pub triad: Triad,
     /// See [`timeout_factor`].
     pub multiplier: u8,
@@ -151,7 +151,7 @@ pub struct ForwardOpen<'a> {
     pub incoming: Direction,
     /// Which device has to be there.
     pub key: Key,
-    /// What it is to.
+    /// The target.
     pub target: Target,
     /// Data for the configuration assembly.
     pub configuration: &'a [u8],
@@ -218,7 +218,7 @@ pub struct Opened {
 }
 
 impl Opened {
-    /// What the drive answered to the opening of the connection with this triad.
+    /// The drive's answer to the opening of the connection with this triad.
     pub fn parse(reply: &Reply<'_>, triad: Triad) -> Result<Opened, ConnectionError> {
         let opened =
             answered(reply, &[service::FORWARD_OPEN, service::LARGE_FORWARD_OPEN], triad, Opened::read)?;
@@ -236,12 +236,12 @@ impl Opened {
     }
 }
 
-/// What the drive answered to the closing of the connection with this triad.
+/// The drive's answer to the closing of the connection with this triad.
 pub fn closed(reply: &Reply<'_>, triad: Triad) -> Result<(), ConnectionError> {
     answered(reply, &[service::FORWARD_CLOSE], triad, |reader| Some(((), Triad::read(reader)?)))
 }
 
-/// What `read` finds in the answer to one of these services, if it is that with this triad. A refusal repeats the
+/// The result of `read` for the answer to one of these services, if it is that with this triad. A refusal repeats the
 /// triad; some devices leave it out.
 fn answered<T>(
     reply: &Reply<'_>,

@@ -32,7 +32,7 @@ const FAMILY: [u8; 2] = [0, 2];
 pub struct Item<'a> {
     /// See [`item`].
     pub kind: u16,
-    /// What is in it.
+    /// The data.
     pub data: &'a [u8],
 }
 

@@ -22,7 +22,7 @@ const VERSION: u16 = 1;
 pub mod command {
     /// Nothing; never answered.
     pub const NOP: u16 = 0x0000;
-    /// What the drive can.
+    /// The services of the drive.
     pub const LIST_SERVICES: u16 = 0x0004;
     /// Who is there.
     pub const LIST_IDENTITY: u16 = 0x0063;
@@ -63,7 +63,7 @@ impl Status {
     /// The session does not exist (any more).
     pub const NO_SESSION: Status = Status(0x64);
 
-    /// What it says; `None` for a number that the standard does not have.
+    /// The meaning; `None` for a number that the standard does not have.
     pub fn name(self) -> Option<&'static str> {
         Some(match self.0 {
             0x00 => "ok",
@@ -94,7 +94,7 @@ pub struct Header {
     pub session: u32,
     /// 0 in every request.
     pub status: Status,
-    /// Chosen by who asks, and echoed.
+    /// Chosen by the sender of the request, and echoed.
     pub context: u64,
 }
 
@@ -115,9 +115,9 @@ fieldbeat_core::debug_as_display!(Malformed);
 /// One message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Frame<'a> {
-    /// Its header.
+    /// The header.
     pub header: Header,
-    /// What follows.
+    /// The data that follow.
     pub data: &'a [u8],
 }
 
@@ -278,22 +278,22 @@ impl<'a> Connected<'a> {
     }
 }
 
-/// What a device says of itself: the attributes of its identity object.
+/// The identity of a device: the attributes of its identity object.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Identity {
-    /// Its vendor: 60 is Applied Motion Products.
+    /// The vendor: 60 is Applied Motion Products.
     pub vendor: u16,
-    /// Its device type.
+    /// The device type.
     pub device_type: u16,
-    /// Its product code.
+    /// The product code.
     pub product_code: u16,
-    /// Its revision, major and minor.
+    /// The revision, major and minor.
     pub revision: (u8, u8),
-    /// Its status bits.
+    /// The status bits.
     pub status: u16,
-    /// Its serial number: unique for the vendor.
+    /// The serial number: unique for the vendor.
     pub serial: u32,
-    /// Its name, printable.
+    /// The name, printable.
     pub name: String,
 }
 

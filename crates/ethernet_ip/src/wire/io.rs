@@ -112,14 +112,14 @@ impl Outgoing {
 pub enum PacketError {
     /// It is no class 1 packet: too short, or with other items than a sequenced address and connected data.
     NoPacket,
-    /// Its data is shorter or longer than it says.
+    /// The data is shorter or longer than it says.
     Length,
 }
 
 /// A packet of a drive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Packet<'a> {
-    /// Its connection. Ids of groups are the drives' choice: only with the source's address it says which one.
+    /// The connection. Ids of groups are the drives' choice: only with the source's address it says which one.
     pub connection: u32,
     /// Counts packets.
     pub sequence: u32,
@@ -146,7 +146,7 @@ impl<'a> Packet<'a> {
         Err(Packet::why_none(datagram))
     }
 
-    /// What is wrong with it.
+    /// The mistake in it.
     #[cold]
     fn why_none(datagram: &[u8]) -> PacketError {
         match datagram.first_chunk::<{ field::DATA }>() {

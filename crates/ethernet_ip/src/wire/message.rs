@@ -80,7 +80,7 @@ pub fn buffered(opcode: Opcode, field: u8, value: i64) -> Option<Payload> {
     Some([0, BUFFERED, field, opcode.code, a, b, c, d])
 }
 
-/// What the drive answered to a request: a register, a position or the history of alarms, 32 bits; a parameter, 16
+/// The drive's answer to a request: a register, a position or the history of alarms, 32 bits; a parameter, 16
 /// bits; to everything else its status word, see `assembly::status`. `None`: the answer is to another message.
 pub fn answer(request: &[u8], answer: &[u8]) -> Option<u32> {
     let &[_, due, opcode, operand, ..] = request else { return None };

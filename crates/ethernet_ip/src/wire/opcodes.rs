@@ -1,6 +1,6 @@
 //! What these drives' own messages can say: tables of the Host Command Reference 920-0002 W.
 
-/// What follows a buffered command.
+/// The operand of a buffered command.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Operand {
     /// Nothing.
@@ -26,11 +26,11 @@ pub enum Operand {
 /// A buffered command.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Opcode {
-    /// Its mnemonic.
+    /// The mnemonic.
     pub name: &'static str,
-    /// Its code.
+    /// The code.
     pub code: u8,
-    /// What follows it.
+    /// The operand.
     pub operand: Operand,
 }
 
@@ -75,9 +75,9 @@ pub fn opcode(name: &str) -> Option<Opcode> {
 /// A parameter that immediate messages read and write (table 3).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Parameter {
-    /// Its mnemonic.
+    /// The mnemonic.
     pub name: &'static str,
-    /// Its index.
+    /// The index.
     pub index: u8,
     /// It cannot be written.
     pub read_only: bool,

@@ -55,7 +55,7 @@ impl Bench {
     }
 }
 
-/// Nobody's outputs are taken for a parameter. What the loop knows of the drive's power is asked of the drive.
+/// Nobody's outputs are taken for a parameter. The drive itself is read for what the loop knows of its power.
 #[test]
 fn without_a_class_1_connection_nothing_is_opened_and_only_a_drive_without_power_is_commanded() {
     const STATUS: &str = "3C 03 20 64 24 01 30 01 00 02 84 80 00 00 00 00";
@@ -224,7 +224,7 @@ fn the_loop_sees_a_commanding_call_until_its_end_is_known() {
 }
 
 #[test]
-fn the_answer_to_a_call_that_has_timed_out_or_was_cancelled_is_nobodys() {
+fn an_answer_to_a_timed_out_or_cancelled_call_is_dropped() {
     let mut bench = Bench::running(|_| ());
     let mut ticket = bench.post_read();
     bench.request(READ);

@@ -7,7 +7,7 @@ use crate::target::Target;
 use crate::wire::encapsulation::{DATA_MAX, HEADER};
 use fieldbeat_core::axis::acyclic::long::Target as _;
 
-/// What a drive may say at any time.
+/// The messages that a drive may send at any time.
 const MESSAGES: [&str; 11] = [
     IDENTITY_REPLY,
     SECOND,
@@ -22,7 +22,7 @@ const MESSAGES: [&str; 11] = [
     "BC 00 00 00 00 02 A3 00 00 09 00 00",
 ];
 
-/// What a call of `Stop` sends, which commands the drive.
+/// The bytes of a call of `Stop`, which commands the drive.
 fn is_command(window: &[u8]) -> bool {
     window == hex("3C 03 20 64 24 01 30 01 00 02 A3")
 }
@@ -32,20 +32,20 @@ fn on_newest(session: &Session, sequence: u16, message: &str) -> Vec<u8> {
     unit(&format!("{} 01 00", wire(session.serial.unwrap_or_default())), sequence, message)
 }
 
-/// What the drive should answer now.
+/// The right answer of the drive now.
 fn right(session: &Session) -> Vec<u8> {
     let Some(pending) = &session.pending else { return Vec::new() };
     let message = match pending.what {
-        What::Register => return framed(0x65, SESSION, session.context, &hex("01 00 00 00")),
-        What::Identity => IDENTITY_REPLY.to_owned(),
-        What::Profile => SECOND.to_owned(),
-        What::Homed(_) | What::Probe => PROBED.to_owned(),
-        What::Open(Open { triad, .. }, ..) | What::OpenConnected(Open { triad, .. }) => {
+        RequestKind::Register => return framed(0x65, SESSION, session.context, &hex("01 00 00 00")),
+        RequestKind::Identity => IDENTITY_REPLY.to_owned(),
+        RequestKind::Profile => SECOND.to_owned(),
+        RequestKind::Homed(_) | RequestKind::Probe => PROBED.to_owned(),
+        RequestKind::Open(Open { triad, .. }, ..) | RequestKind::OpenConnected(Open { triad, .. }) => {
             of(triad.serial, OPENED)
         }
-        What::Close => of(session.to_close.front().map_or(0, |open| open.triad.serial), CLOSED),
-        What::Power => "BC 00 00 00 00 02 84 80 00 00 00 00".to_owned(),
-        What::Call => "BC 00 00 00 00 02 A3 00 00 09 00 00".to_owned(),
+        RequestKind::Close => of(session.to_close.front().map_or(0, |open| open.triad.serial), CLOSED),
+        RequestKind::Power => "BC 00 00 00 00 02 84 80 00 00 00 00".to_owned(),
+        RequestKind::Call => "BC 00 00 00 00 02 A3 00 00 09 00 00".to_owned(),
     };
     match pending.way {
         Way::Unconnected { context } => rr(context, &message),
@@ -53,7 +53,7 @@ fn right(session: &Session) -> Vec<u8> {
     }
 }
 
-/// What a drive, or something else, sends in answer to the last request.
+/// The bytes that a drive, or something else, sends in answer to the last request.
 fn arrives(session: &Session, random: &mut Rng) -> Vec<u8> {
     let message = MESSAGES[random.usize(..MESSAGES.len())];
     let mut answer = rr(session.context, message);
@@ -74,7 +74,7 @@ fn arrives(session: &Session, random: &mut Rng) -> Vec<u8> {
 /// Calls end, the loop gets connections one after the other, nothing grows, and nothing commands a drive whose loop
 /// guards it.
 #[test]
-fn whatever_a_drive_sends_the_session_stays_bounded_and_in_order() {
+fn random_bytes_of_a_drive_keep_the_session_bounded_and_in_order() {
     for seed in 0..512 {
         let random = &mut Rng::with_seed(seed);
         let explicit = [Explicit::Unconnected, Explicit::Connected][seed as usize % 2];

@@ -66,7 +66,7 @@ fn a_unit_of_the_first_version_is_only_read_and_one_without_profile_code_needs_i
         bench.register(profile);
         assert!(parts.iter().all(|part| bench.failed().contains(part)), "{}", bench.failed());
     }
-    // With its version nobody asks.
+    // With its version the drive is not read.
     let mut bench = Bench::of_drive(|drive| drive.version = Some(Version::V2));
     bench.begin();
     bench.trade(IDENTIFY, "81 00 08 00");
@@ -75,7 +75,7 @@ fn a_unit_of_the_first_version_is_only_read_and_one_without_profile_code_needs_i
 }
 
 #[test]
-fn what_a_drive_refuses_is_tried_in_its_other_forms_and_then_said() {
+fn a_refused_opening_is_tried_in_its_other_forms_and_then_reported() {
     type Change = fn(&mut MoonsDrive);
     let none: Change = |_| ();
     let listens: Change = |drive| (drive.connection, drive.heartbeat) = (Access::ListenOnly, Some(0));
@@ -352,7 +352,7 @@ fn a_session_that_is_refused_not_answered_or_no_session_ends_the_connection() {
 }
 
 #[test]
-fn what_is_expected_of_a_device_stands_in_the_key_of_its_opening() {
+fn the_expected_identity_is_the_electronic_key_of_an_opening() {
     let (of_type, any) = (Expected::default(), Expected::ANY);
     let (product, serial) = (Some(0xB0), Some(7));
     for (expected, key) in [

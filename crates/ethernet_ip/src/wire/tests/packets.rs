@@ -141,7 +141,7 @@ fn both_orders_of_the_inputs() {
 }
 
 #[test]
-fn what_is_no_packet_says_why() {
+fn a_malformed_packet_says_why() {
     let golden = hex(INCOMING);
     for (at, byte, why) in [
         (0, 1, PacketError::NoPacket),

@@ -202,7 +202,7 @@ fn socket_addresses_are_big_endian_and_in_any_order() {
     assert_eq!((Unconnected::parse(&other), Connected::parse(&data)), (None, None));
     let connected = with(|out| encapsulation::send_unit_data(out, SESSION, 7, 1, &[0x54]));
     assert_eq!(Unconnected::parse(whole(&connected).data), None);
-    // Ours asks for a port with the same item.
+    // Our request names a port with the same item.
     let request = with(|out| encapsulation::send_rr_data(out, SESSION, 1, &[0x54], Some(own)));
     let message = Unconnected { message: &[0x54], outgoing: None, incoming: Some(own) };
     assert_eq!(Unconnected::parse(whole(&request).data), Some(message));
@@ -230,7 +230,7 @@ fn a_count_or_length_of_items_that_lies_is_refused() {
 }
 
 #[test]
-fn what_is_no_stream_is_known_by_its_first_bytes() {
+fn a_foreign_stream_is_known_by_its_first_bytes() {
     assert_eq!(Frame::next(b"HT"), Err(Malformed::Command(0x5448)));
     assert_eq!(Frame::next(&[0x6F, 0, 1, 0x10]), Err(Malformed::Length(4097)));
     assert_eq!(Frame::next(&[0x6F, 0, 0, 0x10]), Ok(None));
