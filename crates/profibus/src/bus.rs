@@ -16,7 +16,7 @@ use self::end::End;
 use self::queue::Queue;
 use self::upkeep::Upkeep;
 use super::line::Line;
-use super::notes::{Known, WireNotes};
+use super::notes::{ExpectedDevice, WireNotes};
 use super::other::Others;
 use super::plan::{LenzeDrive, ProfibusPlan};
 use super::station::Station;
@@ -39,7 +39,7 @@ pub(super) struct ProfibusBus {
     intervals: Box<[(u64, Time)]>,
     /// When the telegram under way began.
     began_at: Time,
-    /// So many turns come before one may be acyclic again: each round has room for one.
+    /// The number of turns before one may be acyclic again: each round has room for one.
     acyclic_after: usize,
     /// The wire is looked at before anything is sent: always, or in so many cycles more.
     always_looks: bool,
@@ -88,7 +88,7 @@ impl ProfibusBus {
             source,
             remedy: "look at device: a serial port, like \"/dev/ttyS1\"".to_owned(),
         })?;
-        let known = |drive: &LenzeDrive| Known {
+        let known = |drive: &LenzeDrive| ExpectedDevice {
             address: drive.address,
             ident: drive.ident,
             configuration: drive.configuration.clone(),

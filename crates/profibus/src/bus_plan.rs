@@ -88,7 +88,7 @@ impl BusPlan for ProfibusPlan {
         Some(Box::new(ProfibusPlan { drives: vec![drive], ..self.clone() }))
     }
 
-    /// Its drives have to be its own, since their number decides what fits on the wire.
+    /// The drives have to be its own, since their number decides what fits on the wire.
     fn variant(&self, wanted: &Variant) -> Option<Box<dyn BusPlan>> {
         if wanted.drives.is_some() {
             return None;

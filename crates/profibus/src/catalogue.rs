@@ -8,16 +8,16 @@ use fieldbeat_core::axis::acyclic::Quantity;
 /// manual). Newer drives have other factors.
 pub const DECIMALS: u32 = 4;
 
-/// What is known of a code.
+/// An entry of the catalogue of codes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Known {
-    /// Its number.
+pub struct CodeInfo {
+    /// The number.
     pub code: u16,
-    /// Its highest subcode; 0: it has none.
+    /// The highest subcode; 0: it has none.
     pub subcodes: u8,
-    /// What it is.
+    /// The name.
     pub name: &'static str,
-    /// What its value is on the wire.
+    /// The kind of its value on the wire.
     pub kind: Kind,
     /// One count is `10^-decimals` of the unit.
     pub decimals: u32,
@@ -29,34 +29,36 @@ pub struct Known {
     pub word_decimals: Option<u32>,
 }
 
-impl Known {
-    const fn new(code: u16, name: &'static str, unit: &'static str) -> Known {
+impl CodeInfo {
+    const fn new(code: u16, name: &'static str, unit: &'static str) -> CodeInfo {
         let (kind, decimals) = (Kind::I32, DECIMALS);
-        Known { code, subcodes: 0, name, kind, decimals, unit, read_only: false, word_decimals: None }
+        CodeInfo { code, subcodes: 0, name, kind, decimals, unit, read_only: false, word_decimals: None }
     }
 }
 
 /// The codes (EMF2133IB and E82ZAFPC manuals; the ramp times, the subcodes of C0039, and the unit of the fixed set
 /// points of a drive that is not an 8200, are assumed).
-pub const CODES: [Known; 6] = [
-    Known::new(3, "automatic saving: 0 keeps cyclic writes off the EEPROM", ""),
-    Known::new(11, "full speed: 100 % of the set point", ""),
-    Known::new(12, "acceleration time of the main set point", "s"),
-    Known::new(13, "deceleration time of the main set point", "s"),
-    Known { subcodes: 3, ..Known::new(39, "fixed set points (JOG)", "Hz") },
+pub const CODES: [CodeInfo; 6] = [
+    CodeInfo::new(3, "automatic saving: 0 keeps cyclic writes off the EEPROM", ""),
+    CodeInfo::new(11, "full speed: 100 % of the set point", ""),
+    CodeInfo::new(12, "acceleration time of the main set point", "s"),
+    CodeInfo::new(13, "deceleration time of the main set point", "s"),
+    CodeInfo { subcodes: 3, ..CodeInfo::new(39, "fixed set points (JOG)", "Hz") },
     // The 9400 reports 43 degrees as 43 (E94AYCPM manual).
-    Known {
-        read_only: true, word_decimals: Some(0), ..Known::new(61, "temperature of the heat sink", "°C")
+    CodeInfo {
+        read_only: true,
+        word_decimals: Some(0),
+        ..CodeInfo::new(61, "temperature of the heat sink", "°C")
     },
 ];
 
 impl Parameter {
-    /// What is known of it.
-    pub fn known(self) -> Option<&'static Known> {
+    /// The catalogue's entry.
+    pub fn known(self) -> Option<&'static CodeInfo> {
         CODES.iter().find(|known| known.code == self.code)
     }
 
-    /// What its value is on the wire.
+    /// The kind of its value on the wire.
     pub fn kind(self) -> Kind {
         match self.kind {
             Kind::Own => self.known().map_or(Kind::I32, |known| known.kind),
@@ -64,7 +66,7 @@ impl Parameter {
         }
     }
 
-    /// What it measures: of a kind that is named that is not known, but for some in 16 bits.
+    /// The quantity: of a kind that is named that is not known, but for some in 16 bits.
     pub fn quantity(self) -> Option<Quantity> {
         let known = self.known();
         let (decimals, unit) = match self.kind {

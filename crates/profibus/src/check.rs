@@ -36,7 +36,7 @@ pub(super) fn rates() -> String {
 }
 
 impl ProfibusPlan {
-    /// What is wrong with the wire itself.
+    /// The mistakes of the wire itself.
     pub(super) fn own_faults(&self) -> Vec<PlanFault> {
         let mut faults = Vec::new();
         let why = "must be a serial port, like \"/dev/ttyS1\", or \"local:NAME\"";
@@ -79,7 +79,7 @@ impl ProfibusPlan {
         faults
     }
 
-    /// What contradicts the wire in the plan of one of its drives.
+    /// The contradictions between the wire and the plan of one of its drives.
     pub(super) fn drive_faults(&self, drive: &LenzeDrive) -> Vec<PlanFault> {
         let (mut faults, max_tsdr) = (drive.faults(), self.bits.max_tsdr);
         let why = "is the master's own address; give the one that is set at the module";
@@ -91,7 +91,8 @@ impl ProfibusPlan {
 }
 
 impl LenzeDrive {
-    /// What contradicts itself, or would not work; what every axis has, and what depends on the wire, left out.
+    /// The contradictions, and settings that would not work; those of every axis, and those that depend on the wire,
+    /// left out.
     pub fn faults(&self) -> Vec<PlanFault> {
         let mut faults = Vec::new();
         let why = format!("must be 0 ... {ADDRESS_MAX}");

@@ -23,7 +23,7 @@ own_counters! {
 }
 
 impl Own {
-    /// What is wrong with bytes that are no telegram.
+    /// The mistake of bytes that are no telegram.
     pub fn of(why: &Malformed) -> Own {
         match why {
             Malformed::Start => Own::WrongStart,

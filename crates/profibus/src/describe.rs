@@ -55,7 +55,7 @@ impl ProfibusPlan {
         )
     }
 
-    /// Its turns on the grid.
+    /// The turns on the grid.
     pub(super) fn describe_round(&self, grid: Grid) -> String {
         let every_ns = |drive: &LenzeDrive| grid.period_ns as f64 * f64::from(drive.axis.divisor);
         let planned: f64 = self.drives.iter().map(|drive| S as f64 / every_ns(drive)).sum();

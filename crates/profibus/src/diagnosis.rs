@@ -68,7 +68,7 @@ fn own(of: &Symptoms<'_>, counter: Own) -> u64 {
     of.own(counter as usize)
 }
 
-/// So many answers, each of which may have been followed by a slot time, explain what was missed.
+/// `count` answers, each of which may have been followed by a slot time, explain what was missed.
 fn is_cause(of: &Symptoms<'_>, count: u64) -> bool {
     of.mostly(count) && is_most(count, own(of, Own::SlotTimes))
 }

@@ -21,7 +21,7 @@ mod receive;
 
 use self::answer::ANSWER;
 pub use self::answer::{Answer, Expected};
-pub(super) use self::answer::{Heard, Other, Unrelated};
+pub(super) use self::answer::{Incoming, Other, Unrelated};
 use super::plan::ProfibusPlan;
 use super::wire::sap::Service;
 use super::wire::telegram::{self, Head, MAX};
@@ -36,7 +36,7 @@ const KNOWN_NS: u64 = S;
 /// The time of so many bytes is known beforehand: a request and its answer.
 const SPANS: usize = 2 * MAX + 1;
 
-/// Whose turn a telegram is.
+/// The owner of a telegram's turn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Job {
     /// The master's: a token, or what nobody answers.
@@ -47,7 +47,7 @@ pub(super) enum Job {
     Drive(u8),
 }
 
-/// What the line can do now.
+/// The next possible action of the line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Ready {
     /// Nothing.
@@ -56,9 +56,9 @@ pub(super) enum Ready {
     Resend,
     /// The request has no answer, and is repeated when the wire is free; or has failed, with all its repetitions.
     Overdue {
-        /// Whose it is.
+        /// The job.
         job: Job,
-        /// What there is in place of an answer.
+        /// The result in place of an answer.
         instead: Instead,
         /// It is not repeated.
         failed: bool,
@@ -69,14 +69,14 @@ pub(super) enum Ready {
     Free,
 }
 
-/// What there is in place of an answer.
+/// The result in place of an answer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Instead {
     /// Nothing.
     Silence,
     /// The front of a telegram.
     Part,
-    /// What was no telegram, and was reported.
+    /// Bytes that were no telegram, and were reported.
     Garbage,
 }
 
@@ -86,7 +86,7 @@ enum State {
     Closed,
     /// Listening: silent since then.
     Listening(Time),
-    /// So many tokens of two have left.
+    /// The number of tokens of two that have left.
     Claiming(u8),
     Free,
     /// The driver has not taken all of a telegram.
@@ -107,7 +107,7 @@ enum Echo {
     Planned,
 }
 
-/// What the wire is used for, and until when.
+/// The use of the wire, and until when.
 #[derive(Debug)]
 struct Timing {
     state: State,
@@ -132,12 +132,12 @@ pub(super) struct Line {
     /// The request may be repeated so many times more, and `retries` times in all.
     left: u8,
     retries: u8,
-    /// Its own address.
+    /// The own address.
     address: u8,
     echo: Echo,
     /// Bytes come when they were on the wire, or later.
     is_timed: bool,
-    /// What has arrived was there before the request had left.
+    /// The arrived bytes were there before the request had left.
     early: bool,
     /// Bytes of the own telegram that the adapter still returns.
     echo_left: u16,
@@ -153,14 +153,15 @@ pub(super) struct Line {
     latency_ns: u64,
     unanswered_ns: u64,
     claim_ns: u64,
-    /// What comes back by then shows that the adapter returns it.
+    /// Bytes that come back by then show that the adapter returns them.
     known_at: Time,
     request: [u8; MAX],
     inbox: [u8; INBOX],
     spans: Spans,
 }
 
-/// What so many bytes take on the wire, ns: on as few lines of the cache as possible for the usual telegrams.
+/// The time that a number of bytes takes on the wire, ns: on as few lines of the cache as possible for the usual
+/// telegrams.
 #[derive(Debug)]
 #[repr(align(64))]
 struct Spans([u32; SPANS]);
@@ -206,13 +207,13 @@ impl Line {
         }
     }
 
-    /// What so many bytes take on the wire.
+    /// The time that `bytes` bytes take on the wire.
     #[inline]
     fn span_ns(&self, bytes: usize) -> u64 {
         self.spans.0.get(bytes).map_or_else(|| self.line.span_ns(bytes), |ns| (*ns).into())
     }
 
-    /// Its own address.
+    /// The own address.
     pub(super) fn address(&self) -> u8 {
         self.address
     }
@@ -269,7 +270,7 @@ impl Line {
         self.is_free() && now >= self.timing.free_at
     }
 
-    /// Whose answer is waited for.
+    /// The job whose answer is waited for.
     #[inline]
     pub(super) fn waits_for(&self) -> Option<u8> {
         match self.job {
@@ -289,7 +290,7 @@ impl Line {
         }
     }
 
-    /// What is to be done at `now`. What has arrived until then was handed over.
+    /// The next action at `now`. Bytes that have arrived until then were handed over.
     pub(super) fn ready(&mut self, now: Time) -> Ready {
         match self.timing.state {
             State::Free if self.is_free_at(now) => Ready::Free,
@@ -354,7 +355,7 @@ impl Line {
         true
     }
 
-    /// The next telegram asks for a master at this address.
+    /// The next telegram is a request for the status of a master at this address.
     pub(super) fn gap(&mut self, address: u8) {
         let head = Service::FdlStatus.head(address, self.address, false, false);
         if let Some(length) = head.emit(&[], &mut self.request) {
@@ -384,7 +385,7 @@ impl Line {
         (self.left, self.filled, self.used, self.timing.garbled) = (self.retries, 0, 0, false);
     }
 
-    /// What the driver is to take of the telegram.
+    /// The bytes of the telegram for the driver.
     #[inline]
     pub(super) fn to_send(&self) -> &[u8] {
         self.request.get(usize::from(self.taken)..usize::from(self.length)).unwrap_or_default()
@@ -447,14 +448,14 @@ impl Line {
         };
     }
 
-    /// What was received last had ended by then.
+    /// The end of the last received bytes.
     #[inline]
     pub(super) fn quiet_since(&self) -> Time {
         self.timing.free_at - self.timing.idle_ns
     }
 
-    /// What the request that began at `began` and its answer with so many bytes of data took on the wire, ns: without
-    /// what the port held back. One that was repeated counts as it was.
+    /// The time that the request that began at `began` and its answer with `data` bytes of data took on the wire, ns:
+    /// without what the port held back. One that was repeated counts as it was.
     #[inline]
     pub(super) fn took_ns(&self, began: Time, data: usize) -> u64 {
         let took_ns = self.quiet_since().since(began);

@@ -22,7 +22,7 @@ pub struct NativeInputs {
     pub at: Time,
     /// Native mode ran when the request of this reply was built: outputs written from now on go out.
     pub running: bool,
-    /// So many of the words are the drive's.
+    /// The number of words that are the drive's.
     pub count: u8,
     /// The words.
     pub words: [u16; NATIVE_WORDS],

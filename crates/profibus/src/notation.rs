@@ -20,7 +20,7 @@
 
 mod list;
 
-use super::catalogue::{DECIMALS, Known};
+use super::catalogue::{CodeInfo, DECIMALS};
 use super::target::{Kind, Parameter, Service, Target, reason};
 use super::wire::msac1::Record;
 use fieldbeat_core::axis::acyclic::long::Target as _;
@@ -62,12 +62,12 @@ impl Target {
         self.parameter()?.kind().integer()
     }
 
-    /// What its numbers measure.
+    /// The quantity of its numbers.
     fn quantity(self) -> Option<Quantity> {
         self.parameter()?.quantity()
     }
 
-    /// What its values are; this is what they measure if they are numbers.
+    /// The kind of its values; `quantity` is what they measure if they are numbers.
     fn values(self, quantity: Option<Quantity>) -> Values {
         match (self, self.integer()) {
             (_, Some(of)) => Values::Counts(Counts { quantity, ..Counts::all(of) }),
@@ -76,12 +76,12 @@ impl Target {
         }
     }
 
-    /// Its type and its decimals are those of most codes.
+    /// The type and its decimals are those of most codes.
     fn is_assumed(self) -> bool {
         self.parameter().is_some_and(|parameter| parameter.kind == Kind::Own) && self.known().is_none()
     }
 
-    fn known(self) -> Option<&'static Known> {
+    fn known(self) -> Option<&'static CodeInfo> {
         self.parameter()?.known()
     }
 }

@@ -35,17 +35,17 @@ pub(super) enum Note {
     NotReady,
     /// It does not stay in Data_Exchange, which it has answered with this function.
     Left { function: u8 },
-    /// Its diagnosis is none.
+    /// The diagnosis is none.
     Unreadable,
-    /// Its watchdog is not on although it was set.
+    /// The watchdog is not on although it was set.
     Unwatched,
     /// The wire is never silent for long enough to be claimed, and what is received on it is no telegram.
     Noisy,
 }
 
-/// What the reader knows of a drive by itself.
+/// The configured identity of a drive.
 #[derive(Clone, Debug)]
-pub(super) struct Known {
+pub(super) struct ExpectedDevice {
     pub address: u8,
     pub ident: u16,
     pub configuration: Vec<u8>,
@@ -60,7 +60,7 @@ pub(super) struct WireNotes {
     device: String,
     /// The address of this master.
     own: u8,
-    known: Vec<Known>,
+    known: Vec<ExpectedDevice>,
     drives: NoteCells<Note>,
     /// The first identifier bytes of the configuration that each drive wants.
     wanted: NoteCells<[u8; CHUNK]>,
@@ -72,7 +72,7 @@ pub(super) struct WireNotes {
 }
 
 impl WireNotes {
-    pub(super) fn new(device: &str, own: u8, known: Vec<Known>, port: LinkNotes) -> WireNotes {
+    pub(super) fn new(device: &str, own: u8, known: Vec<ExpectedDevice>, port: LinkNotes) -> WireNotes {
         let (drives, wanted) = (NoteCells::new(known.len()), NoteCells::new(known.len() * WANTED / CHUNK));
         let (wire, returns) = (NoteCells::new(1), NoteCells::new(1));
         WireNotes { device: device.to_owned(), own, known, drives, wanted, wire, returns, port }
@@ -167,7 +167,7 @@ impl bus::Notes for WireNotes {
             }
             _ => {}
         }
-        let Known { address, ident, configuration } = self.known.get(index)?;
+        let ExpectedDevice { address, ident, configuration } = self.known.get(index)?;
         Some(match self.drives.get(index) {
             Note::None | Note::Unwatched | Note::Noisy => return None,
             Note::Absent => format!(

@@ -96,7 +96,7 @@ mod tests {
     use fastrand::Rng;
 
     use super::*;
-    use crate::line::{Heard, Line, Other};
+    use crate::line::{Incoming, Line, Other};
     use crate::{LenzeDrive, ProfibusPlan};
     use fieldbeat_core::time::{MS, US};
 
@@ -124,8 +124,8 @@ mod tests {
             self.line.room()[..bytes.len()].copy_from_slice(bytes);
             self.line.received(self.now, bytes.len());
             let mut named = None;
-            while let Some(heard) = self.line.heard(self.now) {
-                if let Heard::Other(Other::Master { address, sign }) = heard {
+            while let Some(incoming) = self.line.incoming(self.now) {
+                if let Incoming::Other(Other::Master { address, sign }) = incoming {
                     self.signs += 1;
                     named = self.others.received(self.now, address, sign).then_some(address).or(named);
                 }
@@ -166,7 +166,7 @@ mod tests {
     }
 
     #[test]
-    fn noise_names_nobody() {
+    fn noise_is_no_sign_of_a_master() {
         let mut tokens = 0;
         for seed in 0..400 {
             let mut random = Rng::with_seed(seed);

@@ -33,7 +33,7 @@ pub const RETRIES_MAX: u8 = 15;
 /// One wire, its only master, and its drives.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ProfibusPlan {
-    /// Its name in messages.
+    /// The name in messages.
     pub name: String,
     /// The serial port, like "/dev/ttyS1", or "local:NAME", a simulated wire on this host.
     pub device: String,
@@ -74,7 +74,7 @@ pub struct Bits {
     pub idle: u32,
     /// Tid2: the same after a request that nobody answers.
     pub idle_unanswered: u32,
-    /// What the driver of a port adds, at most, between a byte on the wire and its reading: it extends the slot time.
+    /// The most that the driver of a port adds between a byte on the wire and its reading: it extends the slot time.
     /// In ns, since it has nothing to do with the rate.
     pub latency_ns: u64,
 }
@@ -82,11 +82,12 @@ pub struct Bits {
 /// One drive with a PROFIBUS module: Lenze EMF2133IB, and what behaves like it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LenzeDrive {
-    /// What every protocol's axis has. The drive counts revolutions of the motor: `scale` says how many are one unit.
+    /// The settings of every protocol's axis. The drive counts revolutions of the motor: `scale` says how many are one
+    /// unit.
     pub axis: AxisPlan,
-    /// Its address, 0 ..= 125.
+    /// The address, 0 ..= 125.
     pub address: u8,
-    /// Its ident number: the drive refuses parametrisation with another one. The default is that of the module before
+    /// The ident number: the drive refuses parametrisation with another one. The default is that of the module before
     /// (2130IB), since that of the EMF2133IB is not known.
     pub ident: u16,
     /// User_Prm, as it is sent. The first byte has the bits of DP-V1.
@@ -108,11 +109,11 @@ pub struct LenzeDrive {
     pub channel: bool,
     /// By which way its parameters are read and written.
     pub parameters: ParameterPath,
-    /// Its control word has the bits of the ramp generator set while it runs (0x007F, not 0x000F).
+    /// The control word has the bits of the ramp generator set while it runs (0x007F, not 0x000F).
     pub ramp_bits: bool,
     /// The bit of the status word that shows its hardware enable (CINH, voltage inhibit); `None`: none does.
     pub enable_bit: Option<StatusBit>,
-    /// What set point and actual value mean.
+    /// The meaning of set point and actual value.
     pub scale: Scale,
     /// The further words of the outputs, behind control word and set point, as they are sent until the application
     /// writes others in native mode. Those that are not here are 0.
@@ -122,7 +123,7 @@ pub struct LenzeDrive {
     /// The code of a fault is the word at this place of the extended diagnosis, counted from 0 at its header; `None`:
     /// there is none.
     pub fault_at: Option<u8>,
-    /// Its extended diagnosis has at most so many bytes (Max_Diag_Data_Len of its GSD, less 6): for the time of a turn.
+    /// The extended diagnosis has at most so many bytes (Max_Diag_Data_Len of its GSD, less 6): for the time of a turn.
     pub extended_diagnosis: u8,
 }
 
@@ -188,7 +189,7 @@ pub struct StatusBit {
     pub set: bool,
 }
 
-/// What a count of set point and actual value means.
+/// The meaning of a count of set point and actual value.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Scale {
     /// The word of the outputs, behind the parameter channel, that is the set point; the control word is word 0.
@@ -204,11 +205,11 @@ pub struct Scale {
 /// A word of the inputs that is shown besides.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ShownWord {
-    /// Its name.
+    /// The name.
     pub name: String,
     /// Which word, behind the parameter channel.
     pub word: u8,
-    /// What a count is, in `unit`.
+    /// The value of a count, in `unit`.
     pub per_count: f64,
     /// It is signed.
     pub signed: bool,
@@ -216,7 +217,7 @@ pub struct ShownWord {
     pub unit: &'static str,
 }
 
-/// What makes the drive stop by itself when nothing comes any more.
+/// The watchdog that makes the drive stop by itself when no telegrams come any more.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Watchdog {
     /// The slave's watchdog, ns; `None`: it is off.
@@ -333,7 +334,7 @@ impl LenzeDrive {
         if self.user_prm.first().is_some_and(|first| first & dpv1::WATCHDOG_1_MS != 0) { MS } else { 10 * MS }
     }
 
-    /// Its watchdog as it is set; `None`: it is off, or cannot be so long.
+    /// The watchdog as it is set; `None`: it is off, or cannot be so long.
     #[doc(hidden)]
     pub fn watchdog(&self) -> Option<dp::Watchdog> {
         let units = self.watchdog.timeout_ns?.div_ceil(self.watchdog_unit_ns());
@@ -351,7 +352,7 @@ impl LenzeDrive {
         (outputs <= DATA_MAX && inputs <= DATA_MAX).then_some((outputs, inputs))
     }
 
-    /// What it shows besides.
+    /// The additional values that it shows.
     pub(super) fn shown(&self) -> [Option<MonitorChannel>; MONITOR_CHANNELS] {
         let channel = |word: &ShownWord| MonitorChannel { name: word.name.clone(), unit: word.unit };
         self.show.each_ref().map(|word| word.as_ref().map(channel))

@@ -33,7 +33,7 @@ const NOT_WATCHED: &str = "its diagnosis does not report its watchdog as on, not
      master dies: look at the watchdog of the module, or set watchdog = \"off\" and no_drive_watchdog = \
      \"accept\"";
 
-/// What the inputs show.
+/// The state that the inputs show.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Inputs {
     pub status: u16,
@@ -41,7 +41,7 @@ pub(super) struct Inputs {
     pub sto_open: bool,
     /// The code of its fault; 0: it has none, or it is not known.
     pub fault: u16,
-    /// Its code is known, as far as it will ever be.
+    /// The code is known, as far as it will ever be.
     pub named: bool,
 }
 
@@ -51,7 +51,7 @@ impl Inputs {
     }
 }
 
-/// What the telegrams that left have led to.
+/// The state after the telegrams that left.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 struct State {
     /// The serials of power and motion.
@@ -65,7 +65,7 @@ struct State {
 }
 
 impl State {
-    /// What the application has written stays, but for the control word and the set point.
+    /// Keeps the words written by the application, but for the control word and the set point.
     fn leave_native(&mut self) {
         let output = std::mem::take(&mut self.output);
         self.kept.put_over(&output);
@@ -83,7 +83,7 @@ pub(super) struct Profile {
     control: u16,
     setpoint: i16,
     runs: bool,
-    /// What is desired was sent, and is proved.
+    /// The desired state was sent, and is proved.
     is_steady: bool,
     /// The set point that was sent last.
     turning: i16,
@@ -100,7 +100,7 @@ pub(super) struct Profile {
     enable_bit: Option<StatusBit>,
 }
 
-/// What is known of the drive's watchdog.
+/// The knowledge of the drive's watchdog.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Watch {
     /// Nothing needs one.
@@ -111,7 +111,7 @@ enum Watch {
     On,
 }
 
-/// What the next telegram has to carry that the one built before it has not.
+/// The contents of the next telegram that the one built before it has not.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Change {
     Nothing,
@@ -121,7 +121,7 @@ pub(super) enum Change {
     Outputs,
 }
 
-/// What a drive can do.
+/// The capabilities of a drive.
 pub(super) fn capabilities(drive: &LenzeDrive) -> Capabilities {
     let unwatched = drive.watchdog.timeout_ns.is_none() && !drive.watchdog.accept_none;
     Capabilities {
@@ -220,12 +220,12 @@ impl Profile {
         };
     }
 
-    /// What the application has written in native modes that are over.
+    /// The words written by the application in native modes that are over.
     pub(super) fn kept(&self) -> &NativeOutput {
         &self.state.proposed().kept
     }
 
-    /// What it writes in the one that runs, and whether it owns the control word.
+    /// The words written in the one that runs, and whether it owns the control word.
     pub(super) fn native(&self) -> Option<(&NativeOutput, bool)> {
         let State { native_owner, output, .. } = self.state.proposed();
         native_owner.map(|owner| (output, owner == NativeOwner::Application))
@@ -290,7 +290,7 @@ impl Profile {
         });
     }
 
-    /// Its diagnosis reports its watchdog as on, or off.
+    /// The diagnosis reports its watchdog as on, or off.
     pub(super) fn watchdog_is(&mut self, on: bool) {
         self.is_steady = false;
         if self.watch != Watch::Needless {
@@ -298,7 +298,7 @@ impl Profile {
         }
     }
 
-    /// Its state by the status word.
+    /// The state by the status word.
     #[inline]
     pub(super) fn state(&self, status: u16) -> Cia402 {
         match self.profile {
@@ -307,7 +307,7 @@ impl Profile {
         }
     }
 
-    /// Its hardware enable is missing.
+    /// The hardware enable is missing.
     #[inline]
     pub(super) fn is_sto_open(&self, status: u16) -> bool {
         self.enable_bit.is_some_and(|StatusBit { bit, set }| (status >> (bit & 0xF) & 1 != 0) != set)
@@ -331,7 +331,7 @@ impl Profile {
         self.is_steady
     }
 
-    /// What a report proves.
+    /// Takes the evidence of a report.
     pub(super) fn prove(&mut self, inputs: &Inputs, evidence: &mut Evidence) {
         let accepted = &mut evidence.accepted;
         accepted.power = self.power.accepted(self.answers, accepted.power);

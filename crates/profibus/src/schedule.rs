@@ -46,7 +46,7 @@ impl LenzeDrive {
         Some(Bytes(outputs + AROUND, inputs + AROUND))
     }
 
-    /// What takes a turn in place of Data_Exchange, but for MSAC1. The configuration that a drive wants is taken for
+    /// The telegrams in place of Data_Exchange, but for MSAC1. The configuration that a drive wants is taken for
     /// one as long as its own, or as a diagnosis.
     fn others(&self) -> [Bytes; 4] {
         [
@@ -125,7 +125,7 @@ impl ProfibusPlan {
         line.span_ns(TOKEN) + line.bits_ns(self.bits.idle.max(self.bits.sync).into())
     }
 
-    /// What of the master's own telegrams may still be under way in a slot: it begins in the window before.
+    /// The part of the master's own telegrams that may still be under way in a slot: it begins in the window before.
     fn left_over_ns(&self, grid: Grid) -> u64 {
         let token = if self.token { self.token_ns() } else { 0 };
         let gap = if self.gap.is_some() { self.try_ns(Bytes(SD1, SD1)) } else { 0 };
@@ -438,7 +438,7 @@ impl Layout<'_> {
         waits.map_or(Ok(()), |(drive, since)| Err(Late { drive, after_ns: self.free.saturating_sub(since) }))
     }
 
-    /// What begins in this cycle.
+    /// Enters the exchanges that begin in this cycle.
     fn cycle(&mut self, cycle: u64) -> Result<(), Late> {
         let begin = cycle * self.grid.period_ns;
         for index in self.due(cycle).collect::<Vec<_>>() {

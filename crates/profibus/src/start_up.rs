@@ -3,7 +3,7 @@
 //!
 //! It begins anew whenever the drive does not answer, or reports that it has lost its parametrisation. What the drive
 //! refuses is noted by name. It is tried once more as soon as a drive that does not answer; then the pauses grow, in
-//! which the drive is only diagnosed. A drive that refuses its configuration is first asked for the one that it wants
+//! which the drive is only diagnosed. Of a drive that refuses its configuration the one that it wants is read first
 //! (Get_Cfg).
 
 use super::notes::Note;
@@ -14,13 +14,13 @@ use super::wire::sap::{CHK_CFG, Service};
 use super::wire::telegram::DU_MAX;
 use fieldbeat_core::time::{S, Time};
 
-/// So many diagnoses of a drive that is parametrised and configured may report that it is not ready.
+/// The number of diagnoses of a drive that is parametrised and configured which may report that it is not ready.
 const NOT_READY: u32 = 100;
 
 /// The pause behind the second refusal in a row, ns; each is twice the one before, so many times.
 const PAUSE_NS: u64 = S;
 const DOUBLED: u32 = 4;
-/// So many identifier bytes of the configuration that a drive wants are kept.
+/// The number of identifier bytes kept of the configuration that a drive wants.
 pub(super) const WANTED: usize = 32;
 
 /// The next telegram of a drive.
@@ -142,12 +142,12 @@ impl StartUp {
 
     /// Why the drive does not exchange data; `None`: the drive is to say so first.
     pub(super) fn note(&self) -> Option<Note> {
-        let asks = self.step == Step::Check && matches!(self.note, Note::Refused { .. });
+        let reads = self.step == Step::Check && matches!(self.note, Note::Refused { .. });
         let note = match self.note {
             Note::None | Note::Unwatched if self.left != Note::None => self.left,
             note => note,
         };
-        (!asks && self.step != Step::Ask).then_some(note)
+        (!reads && self.step != Step::Ask).then_some(note)
     }
 
     /// The identifier bytes that it wants, as far as there is room for them.
@@ -201,7 +201,7 @@ impl StartUp {
         self.refuse(Note::Absent);
     }
 
-    /// What came as its diagnosis is none.
+    /// Notes that its diagnosis was none.
     pub(super) fn unreadable(&mut self) {
         self.refuse(Note::Unreadable);
     }

@@ -47,7 +47,7 @@ const AWAITED: u8 = 4;
 /// A motor turns from this part of its full speed on (assumed): below it is noise of the measurement.
 const MOVES_FROM: u16 = 256;
 
-/// What the telegram under way is.
+/// The kind of the telegram under way.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Sending {
     StartUp,
@@ -80,7 +80,7 @@ pub struct Station {
     is_native: bool,
     /// Exchanges and diagnoses that it refused (UE, RR) since the last one that it answered.
     refused: u8,
-    /// So many answers in a row came behind the window of their request.
+    /// The number of answers in a row that came behind the window of their request.
     slow: u8,
     process_at: u8,
     set_point_at: u8,
@@ -189,7 +189,7 @@ impl Station {
         self.start_up.is_due()
     }
 
-    /// Its last telegram was answered.
+    /// The last telegram was answered.
     pub(super) fn was_answered(&self) -> bool {
         self.count != FIRST
     }
@@ -292,7 +292,7 @@ impl Station {
         self.telegram.emit(self.count, out)
     }
 
-    /// What its turn is used for.
+    /// The use of its turn.
     #[inline(never)]
     fn choose(&self, slot: &Slot, may_be_acyclic: bool) -> Sending {
         match slot.link {
@@ -360,7 +360,7 @@ impl Station {
         }
     }
 
-    /// Its turn is to let the drive go: unlocked, it is any master's. False: it is not in Data_Exchange.
+    /// The turn is to let the drive go: unlocked, it is any master's. False: it is not in Data_Exchange.
     pub(super) fn unlocks(&mut self) -> bool {
         self.sending = Sending::Unlock;
         self.start_up.is_over()

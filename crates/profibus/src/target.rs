@@ -20,11 +20,11 @@ use fieldbeat_core::axis::acyclic::{Call, CallError, Commanding};
 /// A code of the drive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Parameter {
-    /// Its number.
+    /// The number.
     pub code: u16,
-    /// Its subcode; 0: it has none.
+    /// The subcode; 0: it has none.
     pub sub: u8,
-    /// What its value is taken for.
+    /// The kind that its value is taken for.
     pub kind: Kind,
 }
 
@@ -65,7 +65,7 @@ impl Numbers {
     }
 }
 
-/// What a call reads or writes.
+/// The target that a call reads or writes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Target {
     /// A code.
@@ -109,7 +109,7 @@ impl Target {
     }
 }
 
-/// What a call asks of the drive.
+/// The service of a call.
 pub type Service = long::Service<Target>;
 
 /// The calls that command a drive.
@@ -158,14 +158,14 @@ pub const NO_PATH: u32 = OWN + 2;
 pub(crate) const NO_DPV1: u32 = OWN + 3;
 /// Texts are not in a channel of the process data.
 pub(crate) const NO_TEXT: u32 = OWN + 4;
-/// Its answer is none.
+/// The answer is none.
 pub const BROKEN: u32 = OWN + 5;
 /// There is no such part of what was read before.
 pub const NOT_READ: u32 = OWN + 6;
-/// What was handed over to be written is not whole.
+/// The value handed over to be written is not whole.
 pub const NOT_LOADED: u32 = OWN + 7;
 
-/// Its answer to a write is none.
+/// The answer to a write is none.
 pub const BROKEN_WRITE: u32 = OWN + 8;
 
 /// The meanings of this side's own statuses, in their order.

@@ -40,7 +40,7 @@ fn stations_are_found_with_their_own_ident_numbers_and_configurations() {
 }
 
 #[test]
-fn what_a_wire_is_like_changes_no_station_or_is_named() {
+fn wire_settings_leave_every_station_working_or_are_named() {
     type Change = fn(&mut ProfibusSegment);
     type Found = Result<Vec<u8>, ScanError>;
     let wires: [(&str, Change, Found); 3] = [

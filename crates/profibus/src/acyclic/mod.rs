@@ -64,10 +64,10 @@ const EVERY_ON: u32 = 4;
 const EVERY_OFF: u32 = 2;
 /// A request whose calls have ended is given up after so long, ns.
 const LEFT_NS: u64 = 2 * S;
-/// So many calls about the value of a series end in one turn, at most.
+/// The most calls about the value of a series that end in one turn.
 const MOST_PARTS: usize = 32;
 
-/// What a turn of the drive is used for.
+/// The use of a turn of the drive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Turn {
     /// Data_Exchange, with the channel in it.
@@ -76,7 +76,7 @@ pub(super) enum Turn {
     Msac1,
 }
 
-/// What a call has read, and what the drive says that it is: [`Kind::Own`] if it says nothing.
+/// The value that a call has read, and its kind as the drive says: [`Kind::Own`] if it says nothing.
 type Read = (u64, Kind);
 
 /// The acyclic access to one drive.
@@ -92,7 +92,7 @@ pub(super) struct Acyclic {
     work: Box<Work>,
 }
 
-/// What is touched only while there is a call.
+/// The state that is touched only while there is a call.
 #[derive(Debug)]
 struct Work {
     path: ParameterPath,
@@ -106,7 +106,7 @@ struct Work {
     requests: Requests,
 }
 
-/// What a request is.
+/// The kind of a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Way {
     /// A job in the channel.
@@ -130,7 +130,7 @@ struct Active {
     begun: Time,
     /// The last of its calls has ended.
     left: Option<Time>,
-    /// Its calls, in their order; the place of one that has ended is empty.
+    /// The calls, in their order; the place of one that has ended is empty.
     calls: [Option<Posted>; BATCH],
 }
 

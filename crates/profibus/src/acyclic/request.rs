@@ -18,7 +18,7 @@ pub(super) const BATCH: usize = 16;
 /// Characters of a part of a text.
 const PART: usize = 16;
 
-/// What follows a response.
+/// The next step after a response.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Next {
     /// It is that of another request: its own is read later.
@@ -141,7 +141,7 @@ impl Requests {
         transfer.read(self.record);
     }
 
-    /// What became of the call at this place, as the last response says. An error is a status.
+    /// The outcome of the call at this place, as the last response says. An error is a status.
     pub(super) fn result(&self, place: usize) -> Result<Read, u32> {
         self.results.get(place).map_or(Err(BROKEN), |result| result.map(|(raw, kind)| (raw.into(), kind)))
     }

@@ -27,7 +27,7 @@ pub(super) fn code(code: u16, sub: u8, kind: Kind) -> u32 {
 pub(super) const C0061: u32 = 61 << 8;
 pub(super) const C0039_2: u32 = 39 << 8 | 2;
 
-/// What left in a turn.
+/// The telegram that left in a turn.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Sent {
     Exchange([u8; CHANNEL]),
@@ -141,7 +141,7 @@ impl Side {
     }
 }
 
-/// What a scripted drive answers to MSAC1.
+/// The answer of a scripted drive to MSAC1.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Reply {
     Ack,

@@ -12,10 +12,11 @@ use fieldbeat_core::time::{MS, Time};
 
 /// A request that the drive cannot take now, and a response that is not ready, are tried again after so long, ns.
 const AGAIN_NS: u64 = 5 * MS;
-/// So many polls that are only acknowledged show that there is no answer any more, once a telegram was lost (assumed).
+/// The number of polls that are only acknowledged which show that there is no answer any more, once a telegram was lost
+/// (assumed).
 const POLLS: u8 = 16;
 
-/// What has become of a request.
+/// The outcome of a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Event<'a> {
     /// Nothing yet.

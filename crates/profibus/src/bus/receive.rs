@@ -2,7 +2,7 @@
 
 use super::ProfibusBus;
 use crate::counters::Own;
-use crate::line::{Answer, Heard, Job, Other, Unrelated};
+use crate::line::{Answer, Incoming, Job, Other, Unrelated};
 use crate::other::Sign;
 use crate::station::Station;
 use fieldbeat_core::bus::Slot;
@@ -46,13 +46,13 @@ impl ProfibusBus {
         }
     }
 
-    /// What has arrived by `at`, telegram by telegram.
+    /// Takes in what has arrived by `at`, telegram by telegram.
     #[inline]
     fn hear(&mut self, at: Time, slots: &mut [Slot]) {
         for _ in 0..MOST_TELEGRAMS {
-            match self.line.heard(at) {
+            match self.line.incoming(at) {
                 None => return,
-                Some(Heard::Answer(Job::Drive(index), answer)) => {
+                Some(Incoming::Answer(Job::Drive(index), answer)) => {
                     let place = usize::from(index);
                     if let (Some(station), Some(slot)) = (self.stations.get_mut(place), slots.get_mut(place))
                     {
@@ -65,8 +65,8 @@ impl ProfibusBus {
                         }
                     }
                 }
-                Some(Heard::Answer(Job::Own | Job::Gap(_), _)) => {}
-                Some(Heard::Other(other)) => self.unusual(other, slots),
+                Some(Incoming::Answer(Job::Own | Job::Gap(_), _)) => {}
+                Some(Incoming::Other(other)) => self.unusual(other, slots),
             }
             if self.line.is_read() {
                 return;

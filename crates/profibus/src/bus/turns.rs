@@ -169,7 +169,7 @@ impl ProfibusBus {
         waits.map(|(_, (_, not_before))| *not_before).min().unwrap_or(Time(0))
     }
 
-    /// Tells all drives that what they are sent counts, or not.
+    /// Informs all drives whether their outputs count.
     #[cold]
     pub(super) fn control(&mut self, now: Time, command: u8, slots: &mut [Slot]) {
         self.upkeep.controlled(now);

@@ -23,7 +23,7 @@ pub(super) struct Upkeep {
     highest: u8,
 }
 
-/// What follows a round.
+/// The next step after a round.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Behind {
     Token,
@@ -77,7 +77,7 @@ impl Upkeep {
         self.round_over
     }
 
-    /// What follows the round, which is done with, if there is time. No search is for a station of the plan.
+    /// The next step after the round, which is done with, if there is time. No search is for a station of the plan.
     pub(super) fn behind_round(&mut self, has_time: bool, is_station: impl Fn(u8) -> bool) -> Option<Behind> {
         self.round_over = false;
         if !has_time {

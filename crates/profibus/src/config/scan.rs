@@ -7,7 +7,7 @@ use std::os::fd::RawFd;
 
 use thiserror::Error;
 
-use crate::line::{Answer, Expected, Heard, Instead, Job, Line, Other, Ready};
+use crate::line::{Answer, Expected, Incoming, Instead, Job, Line, Other, Ready};
 use crate::plan::ProfibusPlan;
 use crate::wire::dp::Diagnosis;
 use crate::wire::sap::Service;
@@ -203,12 +203,12 @@ impl Scan {
             let received = port.receive(0, self.line.room());
             let Some((at, count)) = received.map_err(|_: Broken| ScanError::Broken)? else { break };
             self.line.received(at, count);
-            while let Some(heard) = self.line.heard(at) {
-                match heard {
-                    Heard::Other(Other::Master { address, .. }) => {
+            while let Some(incoming) = self.line.incoming(at) {
+                match incoming {
+                    Incoming::Other(Other::Master { address, .. }) => {
                         return Err(ScanError::OtherMaster(address));
                     }
-                    Heard::Answer(Job::Drive(address), answer) => {
+                    Incoming::Answer(Job::Drive(address), answer) => {
                         answered = true;
                         let found = self.found.iter_mut().find(|found| found.address == address);
                         match (found, answer, self.asked) {
@@ -219,8 +219,8 @@ impl Scan {
                             _ => {}
                         }
                     }
-                    Heard::Answer(..) => answered = true,
-                    Heard::Other(_) => {}
+                    Incoming::Answer(..) => answered = true,
+                    Incoming::Other(_) => {}
                 }
             }
         }

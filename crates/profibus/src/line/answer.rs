@@ -16,7 +16,7 @@ const DATA_HIGH: u8 = 0xA;
 const NO_DATA: u8 = 0x9;
 /// Bytes of a telegram before its data.
 pub(super) const HEAD: usize = 7;
-/// What the heads of both priorities differ by, behind a byte.
+/// The difference of the heads of both priorities, behind a byte.
 const PRIORITY: u64 = ((DATA_LOW ^ DATA_HIGH) as u64) << (8 * HEAD);
 
 /// Bytes of an answer around its data, and of one with a usual diagnosis.
@@ -30,19 +30,19 @@ pub struct Expected {
     usual: u64,
     /// The station.
     pub da: u8,
-    /// Its service access point, and ours.
+    /// The service access point, and ours.
     pub(super) saps: Option<(u8, u8)>,
     /// The bare acknowledgement answers it.
     acknowledge: bool,
-    /// Its data are so many bytes; `None`: any number.
+    /// The data are so many bytes; `None`: any number.
     data: Option<u8>,
-    /// So many bytes are the longest that is likely.
+    /// The number of bytes of the longest likely one.
     pub(super) longest: u8,
 }
 
-/// What has arrived.
+/// A telegram that has arrived.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(in super::super) enum Heard<'a> {
+pub(in super::super) enum Incoming<'a> {
     /// The answer to the request that was under way, which ends with it.
     Answer(Job, Answer<'a>),
     /// Something that answers nothing.
@@ -65,7 +65,7 @@ pub enum Answer<'a> {
     Refused(u8),
 }
 
-/// What answers nothing.
+/// A telegram that answers nothing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(in super::super) enum Other {
     /// A telegram: of this station, if it says one.
@@ -152,7 +152,7 @@ impl Expected {
         }
     }
 
-    /// What the slave says.
+    /// The slave's answer.
     fn answer<'a>(&self, frame: &Frame<'a>) -> Option<Answer<'a>> {
         let Head { dsap, ssap, fc, .. } = frame.head;
         let same_service = self.saps == ssap.zip(dsap);

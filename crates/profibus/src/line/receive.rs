@@ -1,6 +1,6 @@
 //! What arrives: its room, the own telegram that comes back, and the telegrams in it.
 
-use super::answer::{Answer, HEAD, Heard, Other, Unrelated};
+use super::answer::{Answer, HEAD, Incoming, Other, Unrelated};
 use super::{Echo, INBOX, Job, Line, State, Timing};
 use crate::other::Sign;
 use crate::wire::telegram::Next;
@@ -21,7 +21,7 @@ impl Line {
         &mut self.inbox[usize::from(self.filled)..]
     }
 
-    /// So many bytes have arrived in its room, the last of them by `at`.
+    /// Takes in `count` bytes that have arrived in its room, the last of them by `at`.
     #[inline]
     pub(in super::super) fn received(&mut self, at: Time, count: usize) {
         self.filled += count as u16;
@@ -44,7 +44,7 @@ impl Line {
         }
     }
 
-    /// What has arrived is the own telegram, and no more than it.
+    /// True if the arrived bytes are the own telegram, and no more than it.
     #[cold]
     fn is_echo(&mut self) -> bool {
         let echoed = usize::from(self.length - self.echo_left);
@@ -63,7 +63,7 @@ impl Line {
 
     /// The next thing that has arrived by `at`; `None`: no more.
     #[inline]
-    pub(in super::super) fn heard(&mut self, at: Time) -> Option<Heard<'_>> {
+    pub(in super::super) fn incoming(&mut self, at: Time) -> Option<Incoming<'_>> {
         let begin = usize::from(self.used);
         let bytes = self.inbox.get(begin..usize::from(self.filled)).filter(|bytes| !bytes.is_empty())?;
         let waits = matches!(self.timing.state, State::Waiting) && !self.early && !self.timing.garbled;
@@ -72,14 +72,14 @@ impl Line {
             self.used = self.filled;
             (self.timing.state, self.timing.free_at) = (State::Free, self.free_behind(at, length));
             let data = self.inbox.get(begin + HEAD..begin + length - 2).unwrap_or_default();
-            return Some(Heard::Answer(self.job, Answer::Data { high, data }));
+            return Some(Incoming::Answer(self.job, Answer::Data { high, data }));
         }
         self.parse(at)
     }
 
     /// The next thing in the inbox, whatever it is.
     #[inline(never)]
-    fn parse(&mut self, at: Time) -> Option<Heard<'_>> {
+    fn parse(&mut self, at: Time) -> Option<Incoming<'_>> {
         let waits = matches!(self.timing.state, State::Waiting) && !self.early;
         let bytes = self.inbox.get(usize::from(self.used)..usize::from(self.filled))?;
         if self.timing.garbled {
@@ -101,7 +101,7 @@ impl Line {
                     self.timing.garbled = true;
                     self.timing.put_off(at, 0);
                 }
-                return Some(Heard::Other(Other::Malformed { why, expected: waits }));
+                return Some(Incoming::Other(Other::Malformed { why, expected: waits }));
             }
             Next::Telegram { telegram, size } => {
                 self.used += size as u16;
@@ -112,10 +112,12 @@ impl Line {
         Some(match self.expected.judge(telegram, self.address) {
             Ok(answer) if waits => {
                 (self.timing.state, self.timing.free_at) = (State::Free, free_at);
-                Heard::Answer(self.job, answer)
+                Incoming::Answer(self.job, answer)
             }
-            Ok(_) => Heard::Other(Other::Unrelated(Unrelated::Late, Some(self.expected.da))),
-            Err(Other::Unrelated(_, from)) if !waits => Heard::Other(Other::Unrelated(Unrelated::Late, from)),
+            Ok(_) => Incoming::Other(Other::Unrelated(Unrelated::Late, Some(self.expected.da))),
+            Err(Other::Unrelated(_, from)) if !waits => {
+                Incoming::Other(Other::Unrelated(Unrelated::Late, from))
+            }
             // With the own address as its sender: from an adapter that returns it, or of a master with the same one.
             Err(Other::Master { address, sign }) if address == self.address => {
                 if self.echo == Echo::Unknown && at <= self.known_at {
@@ -123,15 +125,15 @@ impl Line {
                 }
                 let is_listening = matches!(self.timing.state, State::Listening(_));
                 let is_own = !is_listening && self.echo != Echo::Unknown;
-                Heard::Other(if is_own { Other::Own } else { Other::Master { address, sign } })
+                Incoming::Other(if is_own { Other::Own } else { Other::Master { address, sign } })
             }
             // A station that is no slave answers a search only.
             Err(Other::Master { address, sign: Sign::Answer })
                 if !waits || !matches!(self.job, Job::Gap(_)) =>
             {
-                Heard::Other(Other::Master { address, sign: Sign::Request })
+                Incoming::Other(Other::Master { address, sign: Sign::Request })
             }
-            Err(other) => Heard::Other(other),
+            Err(other) => Incoming::Other(other),
         })
     }
 

@@ -43,7 +43,7 @@ impl Rig {
         rig
     }
 
-    /// What is to be sent leaves.
+    /// Lets the telegram to be sent leave.
     fn send(&mut self) -> Vec<u8> {
         let bytes = self.line.to_send().to_vec();
         assert!(self.line.sent(self.now, bytes.len()));
@@ -70,8 +70,8 @@ impl Rig {
         self.line.received(self.now, bytes.len());
     }
 
-    fn heard(&mut self) -> Option<Heard<'_>> {
-        self.line.heard(self.now)
+    fn incoming(&mut self) -> Option<Incoming<'_>> {
+        self.line.incoming(self.now)
     }
 
     /// The reply arrives so many us later, and is the answer to the request.
@@ -79,14 +79,14 @@ impl Rig {
     fn is_answered(&mut self, after_us: u64) {
         self.now = self.now + after_us * US;
         self.arrive(&REPLY);
-        assert_eq!(self.heard(), answer());
+        assert_eq!(self.incoming(), answer());
     }
 
     /// The reply arrives, and answers nothing.
     #[track_caller]
     fn is_late(&mut self) {
         self.arrive(&REPLY);
-        assert_eq!(self.heard(), Some(Heard::Other(Other::Unrelated(Unrelated::Late, Some(SLAVE)))));
+        assert_eq!(self.incoming(), Some(Incoming::Other(Other::Unrelated(Unrelated::Late, Some(SLAVE)))));
     }
 
     /// An idle time of 22 us follows.
@@ -108,13 +108,13 @@ impl Rig {
     }
 }
 
-fn answer() -> Option<Heard<'static>> {
+fn answer() -> Option<Incoming<'static>> {
     let data = &REPLY[7..19];
-    Some(Heard::Answer(Job::Drive(0), Answer::Data { high: false, data }))
+    Some(Incoming::Answer(Job::Drive(0), Answer::Data { high: false, data }))
 }
 
 #[test]
-fn nothing_is_sent_before_the_wire_was_silent_for_its_time_out() {
+fn the_first_telegram_waits_for_the_time_out_of_silence() {
     let mut rig = Rig::new(|_| ());
     // Tto of address 2: ten slot times of 300 bits.
     let silent = 10 * 200 * US;
@@ -122,8 +122,8 @@ fn nothing_is_sent_before_the_wire_was_silent_for_its_time_out() {
         rig.now = rig.now + silent - US;
         assert_eq!(rig.line.ready(rig.now), Ready::Wait);
         rig.arrive(&[0xDC, 9, 9]);
-        assert_eq!(rig.heard(), Some(Heard::Other(Other::Master { address: 9, sign: Sign::Token })));
-        assert_eq!(rig.heard(), None);
+        assert_eq!(rig.incoming(), Some(Incoming::Other(Other::Master { address: 9, sign: Sign::Token })));
+        assert_eq!(rig.incoming(), None);
     }
     rig.now = rig.now + silent;
     assert_eq!(rig.line.ready(rig.now), Ready::Claim);
@@ -136,14 +136,14 @@ fn the_answer_of_the_sheet_answers_at_any_split() {
         rig.request();
         rig.now = rig.now + 180 * US;
         rig.arrive(&REPLY[..split]);
-        assert_eq!(rig.heard(), None);
+        assert_eq!(rig.incoming(), None);
         // What has begun is waited for, longer than a slot time.
         rig.now = rig.now + 190 * US;
         if split > 0 {
             assert_eq!(rig.line.ready(rig.line.look_at(true).unwrap() - 1), Ready::Wait);
         }
         rig.arrive(&REPLY[split..]);
-        assert_eq!(rig.heard(), answer(), "{split}");
+        assert_eq!(rig.incoming(), answer(), "{split}");
         rig.idles();
     }
 }
@@ -168,13 +168,13 @@ fn an_answer_that_is_read_late_has_ended_by_max_tsdr() {
         rig.request();
         rig.now = rig.now + ended + 300 * US;
         rig.arrive(&[&REPLY, behind].concat());
-        assert_eq!(rig.heard(), answer());
+        assert_eq!(rig.incoming(), answer());
         rig.idles();
     }
 }
 
 #[test]
-fn what_is_late_answers_nothing_and_puts_off_the_next_telegram() {
+fn a_late_reply_counts_as_late_and_postpones_the_next_telegram() {
     let mut rig = Rig::up(|plan| plan.retries = 0);
     rig.request();
     rig.is_overdue(Instead::Silence, true);
@@ -194,19 +194,19 @@ fn what_is_late_answers_nothing_and_puts_off_the_next_telegram() {
 }
 
 #[test]
-fn what_was_there_before_the_request_had_left_is_no_answer_to_it() {
+fn bytes_from_before_the_request_are_no_answer() {
     let mut rig = Rig::up(|_| ());
     rig.request();
     let begin = rig.now;
     rig.is_late();
-    assert_eq!(rig.heard(), None);
+    assert_eq!(rig.incoming(), None);
     rig.now = begin + 100 * US;
     rig.arrive(&REPLY[..9]);
-    assert_eq!(rig.heard(), None);
+    assert_eq!(rig.incoming(), None);
     rig.now = begin + 153 * US;
     rig.arrive(&[0xFF, 0x33]);
-    assert!(matches!(rig.heard(), Some(Heard::Other(Other::Malformed { expected: false, .. }))));
-    assert_eq!(rig.heard(), None);
+    assert!(matches!(rig.incoming(), Some(Incoming::Other(Other::Malformed { expected: false, .. }))));
+    assert_eq!(rig.incoming(), None);
     // It is waited for all the same.
     rig.is_answered(161);
     // Where the other end has all bytes at once, an answer may be there sooner.
@@ -231,11 +231,11 @@ fn a_broken_answer_is_named_and_nothing_behind_it_counts_until_the_wire_was_idle
         broken[at] ^= 1;
         rig.now = rig.now + 350 * US;
         rig.arrive(&broken);
-        assert_eq!(rig.heard(), Some(Heard::Other(Other::Malformed { why, expected: true })), "{at}");
+        assert_eq!(rig.incoming(), Some(Incoming::Other(Other::Malformed { why, expected: true })), "{at}");
         // A rest that looks like an answer.
         rig.now = rig.now + 5 * US;
         rig.arrive(&REPLY);
-        assert_eq!(rig.heard(), None);
+        assert_eq!(rig.incoming(), None);
         assert_eq!(rig.line.ready(rig.now + 21 * US), Ready::Wait);
         rig.is_overdue(Instead::Garbage, false);
         rig.is_answered(350);
@@ -243,15 +243,15 @@ fn a_broken_answer_is_named_and_nothing_behind_it_counts_until_the_wire_was_idle
 }
 
 #[test]
-fn what_comes_from_others_or_of_another_kind_answers_nothing() {
-    let unrelated = |why, from| Some(Heard::Other(Other::Unrelated(why, from)));
-    for ((da, sa, fc), heard) in [
+fn telegrams_of_others_or_of_another_kind_are_no_answer() {
+    let unrelated = |why, from| Some(Incoming::Other(Other::Unrelated(why, from)));
+    for ((da, sa, fc), expected) in [
         ((2, 8, 0x08), unrelated(Unrelated::Turn, Some(8))),
         ((3, 7, 0x08), unrelated(Unrelated::Station, Some(7))),
         ((2, 7, 0x09), unrelated(Unrelated::Kind, Some(7))),
-        ((7, 2, 0x7D), Some(Heard::Other(Other::Own))),
-        ((7, 4, 0x7D), Some(Heard::Other(Other::Master { address: 4, sign: Sign::Request }))),
-        ((2, 7, 0x38), Some(Heard::Other(Other::Master { address: 7, sign: Sign::Request }))),
+        ((7, 2, 0x7D), Some(Incoming::Other(Other::Own))),
+        ((7, 4, 0x7D), Some(Incoming::Other(Other::Master { address: 4, sign: Sign::Request }))),
+        ((2, 7, 0x38), Some(Incoming::Other(Other::Master { address: 7, sign: Sign::Request }))),
     ] {
         let mut bytes = REPLY;
         (bytes[4], bytes[5], bytes[6]) = (da, sa, fc);
@@ -260,9 +260,9 @@ fn what_comes_from_others_or_of_another_kind_answers_nothing() {
         rig.request();
         rig.now = rig.now + 200 * US;
         rig.arrive(&bytes);
-        assert_eq!(rig.heard(), heard, "{bytes:02x?}");
+        assert_eq!(rig.incoming(), expected, "{bytes:02x?}");
         rig.arrive(&[telegram::SC]);
-        assert_eq!(rig.heard(), unrelated(Unrelated::Kind, None), "an acknowledgement has no data");
+        assert_eq!(rig.incoming(), unrelated(Unrelated::Kind, None), "an acknowledgement has no data");
         // The true one counts all the same.
         rig.is_answered(0);
     }
@@ -285,7 +285,7 @@ fn a_refusal_may_leave_out_the_access_points() {
         rig.send();
         rig.now = rig.now + 200 * US;
         rig.arrive(reply);
-        assert_eq!(rig.heard(), Some(Heard::Answer(Job::Drive(3), answer)));
+        assert_eq!(rig.incoming(), Some(Incoming::Answer(Job::Drive(3), answer)));
         rig.idle();
     }
 }
@@ -296,20 +296,20 @@ fn the_own_telegram_is_skipped_where_the_adapter_returns_it() {
         let mut rig = Rig::up(|plan| plan.echo = true);
         rig.request();
         rig.arrive(&REQUEST[..split]);
-        assert_eq!(rig.heard(), None);
+        assert_eq!(rig.incoming(), None);
         rig.now = rig.now + 200 * US;
         rig.arrive(&[&REQUEST[split..], &REPLY[..]].concat());
-        assert_eq!(rig.heard(), answer());
+        assert_eq!(rig.incoming(), answer());
     }
     // What is not the own telegram is no echo.
     let mut rig = Rig::up(|plan| plan.echo = true);
     rig.request();
     rig.arrive(&[0, 0, 0]);
-    assert!(matches!(rig.heard(), Some(Heard::Other(Other::Malformed { .. }))));
+    assert!(matches!(rig.incoming(), Some(Incoming::Other(Other::Malformed { .. }))));
 }
 
 #[test]
-fn what_the_driver_takes_in_pieces_goes_on_where_it_stopped() {
+fn a_partial_write_is_continued_where_it_stopped() {
     let mut rig = Rig::up(|_| ());
     assert!(rig.line.broadcast(&super::super::wire::sap::global_control(2), &[0, 0]));
     let whole = rig.line.to_send().to_vec();
@@ -325,13 +325,13 @@ fn what_the_driver_takes_in_pieces_goes_on_where_it_stopped() {
 }
 
 #[test]
-fn another_master_with_the_own_address_is_told_from_an_adapter_that_returns_what_is_sent() {
-    let other = |sign| Some(Heard::Other(Other::Master { address: 2, sign }));
+fn another_master_with_the_own_address_is_distinguished_from_an_echoing_adapter() {
+    let other = |sign| Some(Incoming::Other(Other::Master { address: 2, sign }));
     // Before its first telegram, nothing of its own can come back.
     for echo in [false, true] {
         let mut rig = Rig::new(|plan| plan.echo = echo);
         rig.arrive(&TOKEN);
-        assert_eq!(rig.heard(), other(Sign::Token));
+        assert_eq!(rig.incoming(), other(Sign::Token));
     }
 
     // The adapter has returned nothing for a second.
@@ -340,7 +340,7 @@ fn another_master_with_the_own_address_is_told_from_an_adapter_that_returns_what
     rig.request();
     for (bytes, sign) in [(&REQUEST[..], Sign::Request), (&TOKEN, Sign::Token)] {
         rig.arrive(bytes);
-        assert_eq!(rig.heard(), other(sign));
+        assert_eq!(rig.incoming(), other(sign));
     }
     rig.is_answered(200);
 
@@ -350,6 +350,6 @@ fn another_master_with_the_own_address_is_told_from_an_adapter_that_returns_what
     for later in [0, 2_000 * MS] {
         rig.now = rig.now + later;
         rig.arrive(&TOKEN);
-        assert_eq!(rig.heard(), Some(Heard::Other(Other::Own)));
+        assert_eq!(rig.incoming(), Some(Incoming::Other(Other::Own)));
     }
 }

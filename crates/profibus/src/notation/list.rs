@@ -1,6 +1,6 @@
 //! The list of the known codes.
 
-use super::super::catalogue::{CODES, Known};
+use super::super::catalogue::{CODES, CodeInfo};
 use super::super::target::{Kind, Parameter, Target};
 use fieldbeat_core::axis::acyclic::long::Target as _;
 use fieldbeat_core::axis::acyclic::{Answer, ListError, Listed, Listing, Wanted};
@@ -28,12 +28,12 @@ pub(super) fn listed(row: Listed, answer: &Answer) -> Listed {
     row
 }
 
-fn usage(kind: Kind, known: &Known) -> String {
+fn usage(kind: Kind, known: &CodeInfo) -> String {
     format!("{kind} {}", if known.read_only { "read" } else { "read write" })
 }
 
 /// A code, or each of its subcodes.
-fn rows(known: &Known) -> impl Iterator<Item = Listed> {
+fn rows(known: &CodeInfo) -> impl Iterator<Item = Listed> {
     let subcodes = if known.subcodes == 0 { 0..=0 } else { 1..=known.subcodes };
     subcodes.map(|sub| Listed {
         address: match sub {

@@ -63,7 +63,7 @@ fn twelve_megabit_carry_four_drives_in_every_cycle_with_room() {
 }
 
 #[test]
-fn what_does_not_fit_is_refused_with_what_would() {
+fn a_schedule_that_does_not_fit_is_refused_with_one_that_does() {
     // Two turns begin in a window, but nothing is left for a slot time.
     let said = wire(1_500_000, 2).schedule_faults(USUAL);
     let [(0 | 1, PlanFault { key: "divisor", message })] = &said[..] else { panic!("{said:?}") };
@@ -93,7 +93,7 @@ fn what_does_not_fit_is_refused_with_what_would() {
 }
 
 #[test]
-fn a_drive_that_wants_a_pause_is_asked_for_less_and_waited_for_longer() {
+fn a_busy_drive_gets_fewer_requests_and_a_longer_timeout() {
     let mut plan = wire(12_000_000, 2);
     plan.drives[1].min_slave_interval_ns = 2_500 * US;
     let said = plan.schedule_faults(WIDE);

@@ -12,8 +12,8 @@ use crate::wire::fc::NOT_ACTIVE;
 use fieldbeat_core::bus::Slot;
 use fieldbeat_core::time::Time;
 
-/// So many refusals (UE, RR) in a row, behind which its diagnosis shows nothing, end Data_Exchange: the drive is
-/// parametrised again.
+/// The number of refusals (UE, RR) in a row, behind which its diagnosis shows nothing, that end Data_Exchange: the
+/// drive is parametrised again.
 const MOST_REFUSED: u8 = 20;
 
 impl Station {
@@ -45,7 +45,7 @@ impl Station {
         !usual
     }
 
-    /// Its exchange is answered; false: it is over for the loop.
+    /// The exchange is answered; false: it is over for the loop.
     #[inline]
     fn close(&mut self, at: Time, slot: &mut Slot) -> bool {
         if slot.answer(at, false).is_none() {

@@ -11,7 +11,7 @@ use fieldbeat_core::time::Time;
 
 /// The code of a fault that the diagnosis does not name: any error (DRIVECOM).
 const ANY_ERROR: u16 = 0x1000;
-/// So many diagnoses may come without the code of a fault.
+/// The number of diagnoses that may come without the code of a fault.
 const UNNAMED: u8 = 5;
 /// Bit 7 of either status word: a warning; bit 10: the set point is reached.
 const WARNING: u16 = 1 << 7;
@@ -21,7 +21,7 @@ const REACHED: u16 = 1 << 10;
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Shown {
     channel: u8,
-    /// Its first byte.
+    /// The first byte.
     at: u8,
     signed: bool,
     per_count: f64,
@@ -96,7 +96,7 @@ impl Station {
         self.native.publish(at, 0, seen.unwrap_or_default());
     }
 
-    /// Its status, or what is proved, may be another one than before.
+    /// The status, or what is proved, may be another one than before.
     #[inline(never)]
     fn read_anew(&mut self, status: u16, slot: &mut Slot) {
         slot.notices.restarted |= self.start_up.settled();

@@ -6,7 +6,7 @@ use crate::wire::telegram::MAX;
 
 /// The function code without its count: SRD high.
 const SRD_HIGH: u8 = 0x4D;
-/// Its function code, and its outputs.
+/// The function code, and its outputs.
 const AT_FC: usize = 6;
 const AT_DATA: usize = 7;
 /// The longest telegram that is copied as one of this length.

@@ -20,7 +20,7 @@ const FAILED: u8 = 0x80;
 /// The attribute of a parameter that is its value.
 const VALUE: u8 = 0x10;
 
-/// What is common to all parameters of a request; mirrored in the response.
+/// The common head of all parameters of a request; mirrored in the response.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Head {
     /// A number of the master's own, not 0.
@@ -99,7 +99,7 @@ impl Format {
         }))
     }
 
-    /// What a value is. Bits of any meaning are a number, `signed` or not. `None`: the format is unknown, or has no
+    /// The kind of a value. Bits of any meaning are a number, `signed` or not. `None`: the format is unknown, or has no
     /// value.
     pub const fn kind(self, signed: bool) -> Option<Kind> {
         Some(match (self.0, signed) {
@@ -163,12 +163,12 @@ impl Values<'_> {
     }
 }
 
-/// What became of a parameter.
+/// The outcome of a parameter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Outcome<'a> {
     /// It was written.
     Written,
-    /// What was read.
+    /// The values read.
     Read(Values<'a>),
     /// It failed.
     Failed(ErrorNumber),
@@ -202,7 +202,7 @@ impl<'a> Response<'a> {
         (whole && outcomes.body.0.is_empty()).then_some(response)
     }
 
-    /// What became of each parameter, in the order of the request.
+    /// The outcome of each parameter, in the order of the request.
     pub fn outcomes(&self) -> Outcomes<'a> {
         // A write without an error has nothing behind its head.
         let brief = self.head.write && !self.failed && self.body.0.is_empty();

@@ -5,7 +5,7 @@ use super::{Reader, Writer};
 /// The answer to Slave_Diag.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Diagnosis<'a> {
-    /// What the slave says of itself.
+    /// The status that the slave reports.
     pub status: DiagnosisStatus,
     /// The master that has parametrised it.
     pub master: Option<u8>,
@@ -129,7 +129,7 @@ pub mod station_status {
     pub const LOCK: u8 = 1 << 7;
     /// It is any master's.
     pub const UNLOCK: u8 = 1 << 6;
-    /// Its watchdog is on.
+    /// The watchdog is on.
     pub const WATCHDOG: u8 = 1 << 3;
 }
 
@@ -174,7 +174,7 @@ impl Watchdog {
         (1..=u8::MAX).filter_map(with).min_by_key(|watchdog| watchdog.units())
     }
 
-    /// Its time in units.
+    /// The time in units.
     pub fn units(&self) -> u32 {
         self.factors.map(u32::from).into_iter().product()
     }
@@ -225,7 +225,7 @@ impl GlobalControl {
     /// Outputs stay as they are, until the next sync.
     pub const SYNC: u8 = 1 << 5;
 
-    /// Its data.
+    /// The data.
     pub const fn data(self) -> [u8; 2] {
         [self.command, self.groups]
     }

@@ -70,7 +70,7 @@ pub const fn shows(channel: &Channel) -> bool {
 pub struct ErrorCode(pub u32);
 
 impl ErrorCode {
-    /// Its meaning, if known.
+    /// The meaning, if known.
     pub const fn name(self) -> Option<&'static str> {
         Some(match self.0 {
             0x0603_0000 => "no access",

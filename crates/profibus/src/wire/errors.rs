@@ -16,7 +16,7 @@ impl ErrorNumber {
     /// The first number of the manufacturer's own.
     const OWN: u16 = 0x65;
 
-    /// Its meaning, if known. Lenze's own list is not at hand.
+    /// The meaning, if known. Lenze's own list is not at hand.
     pub const fn name(self) -> Option<&'static str> {
         Some(match self.0 {
             0x00 => "the parameter does not exist",

@@ -4,7 +4,7 @@
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct FunctionCode(pub u8);
 
-/// What is requested: of the functions of the standard, those that this master uses.
+/// The requested function: of those of the standard, the ones that this master uses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Function {
     /// SDN high: data, not acknowledged.

@@ -22,15 +22,15 @@ pub struct Job {
 /// A value as a reply of the channel has it, of which it says no more than its size.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Raw {
-    /// Its bits: 8, 16, 24 or 32.
+    /// The bits: 8, 16, 24 or 32.
     pub bits: u32,
     /// The bits.
     pub raw: u32,
 }
 
 named! {
-    /// What the value of a code is. The number is that of the format in a record of parameters, the name is how people
-    /// write it behind the code.
+    /// The kind of the value of a code. The number is that of the format in a record of parameters, the name is how
+    /// people write it behind the code.
     #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
     pub enum Kind {
         /// As the catalogue says; 32 bits with a sign if it says nothing.
@@ -53,7 +53,7 @@ named! {
 }
 
 impl Kind {
-    /// Its numbers; `None`: it has none.
+    /// The numbers; `None`: it has none.
     pub const fn integer(self) -> Option<Integer> {
         let (bits, signed) = match self {
             Kind::I8 => (8, true),

@@ -76,7 +76,7 @@ impl<'a> Writer<'a> {
         }
     }
 
-    /// What is written is none, whatever follows.
+    /// Marks the written telegram as none, whatever follows.
     fn fail(&mut self) {
         self.at = usize::MAX;
     }

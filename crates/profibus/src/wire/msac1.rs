@@ -13,7 +13,7 @@ const NEGATIVE: u8 = 0x80;
 /// The most bytes of a record: what a telegram has room for, behind two service access points and four bytes.
 pub const RECORD_MAX: usize = 240;
 
-/// What is done with a record.
+/// The use of a record.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Function {
     /// It is read.
@@ -47,7 +47,7 @@ impl Record {
 /// The answer to a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Answer<'a> {
-    /// What was to be done.
+    /// The function that was requested.
     pub function: Function,
     /// The record, and its bytes if it was read; or why it was not done, without the record.
     pub result: Result<(Record, &'a [u8]), Refusal>,
@@ -97,7 +97,7 @@ impl Refusal {
         self.decode == Refusal::DPV1 && matches!(self.code_1, Refusal::STATE | Refusal::BUSY)
     }
 
-    /// What Error_Code_1 says, if known.
+    /// The meaning of Error_Code_1, if known.
     pub const fn name(self) -> Option<&'static str> {
         if self.decode != Refusal::DPV1 {
             return None;

@@ -25,13 +25,13 @@ pub enum Service {
     FdlStatus,
     /// Outputs to the slave, inputs from it.
     DataExchange,
-    /// Its diagnosis.
+    /// The diagnosis.
     SlaveDiag,
-    /// Its parametrisation.
+    /// The parametrisation.
     SetPrm,
-    /// Its configuration, to compare.
+    /// The configuration, to compare.
     ChkCfg,
-    /// Its configuration, to read.
+    /// The configuration, to read.
     GetCfg,
     /// Acyclic access.
     Msac1,

@@ -26,7 +26,7 @@ pub const ED: u8 = 0x16;
 const EXTENSION: u8 = 0x80;
 /// DA, SA, FC.
 const HEAD: usize = 3;
-/// What an SD2 may say in LE.
+/// The values of LE of an SD2.
 const LE: std::ops::RangeInclusive<usize> = 4..=249;
 
 /// The most bytes of a telegram.
@@ -52,7 +52,7 @@ pub struct Head {
     pub dsap: Option<u8>,
     /// The service access point at the source.
     pub ssap: Option<u8>,
-    /// What is requested or replied.
+    /// The function of the request or reply.
     pub fc: FunctionCode,
 }
 
@@ -156,7 +156,7 @@ impl<'a> Frame<'a> {
     }
 }
 
-/// What is at the front of the bytes that have arrived.
+/// The telegram at the front of the bytes that have arrived.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Next<'a> {
     /// Nothing yet, or the front of a telegram.
@@ -168,7 +168,7 @@ pub enum Next<'a> {
     Telegram {
         /// It.
         telegram: Telegram<'a>,
-        /// Its bytes.
+        /// The bytes.
         size: usize,
     },
     /// No telegram.
@@ -177,7 +177,7 @@ pub enum Next<'a> {
         why: Malformed,
         /// How many bytes to drop.
         ///
-        /// What follows them may be the rest of the same broken telegram, and look like another one: a byte E5 in it
+        /// The following bytes may be the rest of the same broken telegram, and look like another one: a byte E5 in it
         /// like an acknowledge. Nothing counts until the wire was idle.
         drop: usize,
     },

@@ -16,7 +16,7 @@ fn hex(text: &str) -> Vec<u8> {
     text.split_whitespace().map(|byte| u8::from_str_radix(byte, 16).expect(byte)).collect()
 }
 
-/// What `emit` writes.
+/// The bytes that `emit` writes.
 fn emitted(emit: impl FnOnce(&mut Buffer) -> Option<usize>) -> Vec<u8> {
     // Nothing depends on what is in the buffer before.
     let mut out = [0xEE; MAX];

@@ -43,7 +43,7 @@ impl DrivecomControl {
 pub struct DrivecomStatus(pub u16);
 
 impl DrivecomStatus {
-    /// Its state; [`State::Unknown`]: none of the manual's.
+    /// The state; [`State::Unknown`]: none of the manual's.
     pub fn state(self) -> State {
         cia402::state(self.0)
     }
@@ -54,7 +54,7 @@ impl DrivecomStatus {
 pub struct ProfidriveStatus(pub u16);
 
 impl ProfidriveStatus {
-    /// Its state in terms of CiA 402; [`State::Unknown`]: no state of the profile.
+    /// The state in terms of CiA 402; [`State::Unknown`]: no state of the profile.
     ///
     /// The sheet has the bits, not the table of states. This one is the profile's general state machine: S1 to S5 by
     /// bits 6 (switch-on inhibit), 0 (ready to switch on), 1 (ready to operate), 2 (operation enabled), a quick stop by

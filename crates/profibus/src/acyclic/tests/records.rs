@@ -266,7 +266,7 @@ fn a_write_whose_outcome_is_refused_or_lost_is_uncertain() {
 }
 
 #[test]
-fn what_nobody_has_fetched_is_fetched_before_the_next_request() {
+fn an_unfetched_response_is_fetched_before_the_next_request() {
     let stale = vec![0x5E, 0, 47, 4, 1, 1, 0, 1];
     let (mut side, mut module) = (Side::new(MSAC1), Module { stored: Some((1, stale)), ..Module::new() });
     let mut ticket = side.write(C0039_2, 9);

@@ -144,7 +144,7 @@ fn a_read_of_which_one_part_failed_has_the_rest() {
 }
 
 #[test]
-fn what_no_record_holds_is_no_request() {
+fn a_request_too_long_for_a_record_is_refused() {
     let reads =
         |count: usize| written(|out| put_read(1, 0, &vec![value(1); count], out)).map(|all| all.len());
     assert_eq!((reads(39), reads(40)), (Some(4 + 39 * 6), None));

@@ -62,7 +62,7 @@ fn each_broken_byte_has_its_name() {
 
 /// That all that fits is sent, and nothing more, is of the fuzz target `profibus_wire`.
 #[test]
-fn what_is_missing_of_a_telegram_is_stated() {
+fn missing_bytes_of_a_telegram_are_counted() {
     for service in [Service::DataExchange, Service::SetPrm] {
         let whole = emitted(|out| service.head(SLAVE, MASTER, false, true).emit(&[1, 2, 3], out));
         for size in 1..whole.len() {
