@@ -88,7 +88,7 @@ impl Bins {
         self.combine(other, |one, other| one + other);
     }
 
-    /// What came since an earlier state of the same bins.
+    /// The values since an earlier state of the same bins.
     pub fn since(&self, earlier: &Bins) -> Bins {
         let mut since = self.clone();
         since.combine(earlier, u64::saturating_sub);
@@ -127,7 +127,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn what_was_added_is_what_came_since() {
+    fn added_bins_are_those_since_the_last_time() {
         let (one, other) = (bins([3, 5, 5, 9]), bins([1, 5, 12]));
         let mut both = one.clone();
         both.add(&other);

@@ -71,7 +71,7 @@ pub struct Tally {
 pub struct Judged {
     /// The cycle.
     pub index: u64,
-    /// What was late.
+    /// The late part.
     pub lateness: Lateness,
     /// The begin of its delay.
     pub from: Time,
@@ -94,7 +94,7 @@ const SLOWLY: f64 = 0.05;
 /// Up to so many times as long as usual a stage is only busy.
 const USUAL: f64 = 4.0;
 
-/// So many times the mean deviation of a quiet span a run time may be off by itself.
+/// The multiple of the mean deviation of a quiet span that a run time may be off by itself.
 const DOUBT: f64 = 3.0;
 
 /// In a longer span than this one delay cannot be separated from another.
@@ -123,12 +123,12 @@ pub struct Causes {
     missed: Option<(u64, u16)>,
     /// The last executed cycle.
     last: CycleRecord,
-    /// What the last late cycle had looked at, and when.
+    /// The counts that the last late cycle had looked at, and when.
     looked: Option<(Time, Look)>,
     /// Cycles since the newest sample, and whether one of them was late.
     cycles: u64,
     late: bool,
-    /// What a cycle usually runs, waits for the core, and takes in each of its stages, ns.
+    /// The times that a cycle usually runs, waits for the core, and takes in each of its stages, ns.
     usual_ns: f64,
     usual_delay_ns: f64,
     /// By how much the run time of a quiet cycle differs from that, as the mean of spans, ns.
@@ -142,7 +142,7 @@ pub struct Causes {
     judgements: u64,
 }
 
-/// What the kernel counted between two samples.
+/// The kernel's counts between two samples.
 #[derive(Clone, Copy, Debug)]
 struct Span {
     from: Time,
@@ -151,7 +151,7 @@ struct Span {
     delay_ns: u64,
     /// Ran beyond the usual, ns.
     run_ns: u64,
-    /// So much of that may be missing, since cycles do not all run equally long, ns.
+    /// The part of that which may be missing, since cycles do not all run equally long, ns.
     doubt_ns: u64,
     /// The newest counts at its begin.
     counts: ThreadCounts,
@@ -381,7 +381,7 @@ impl Causes {
         self.taken_ns
     }
 
-    /// What was found so far, the most frequent first.
+    /// The causes found so far, the most frequent first.
     pub fn ranked(&self) -> Vec<Tally> {
         let mut ranked = self.tallies.clone();
         ranked.sort_by_key(|tally| std::cmp::Reverse((tally.count, tally.worst_ns)));

@@ -10,7 +10,7 @@ use fieldbeat_core::cycle::record::{
 use fieldbeat_core::cycle::status::Peak;
 use fieldbeat_core::time::MS;
 
-/// What is longer is recorded as this; its true maximum is kept by the loop.
+/// The longest recorded time; a longer one is recorded as this, and its true maximum is kept by the loop.
 pub const HIGHEST_NS: u64 = 60 * MS;
 
 /// Significant digits of the loop's own quantities: bins of 1 us up to 2 ms.
@@ -92,7 +92,7 @@ impl Quantity {
     }
 }
 
-/// What a run measured, ns.
+/// The measurements of a run, ns.
 #[derive(Clone, Debug)]
 pub struct Histograms {
     /// Begin of each cycle after its grid point; skipped slots count as late ones.
@@ -108,7 +108,7 @@ pub struct Histograms {
     pub drives: Vec<DriveHistograms>,
 }
 
-/// What was measured of one drive, ns.
+/// The measurements of one drive, ns.
 #[derive(Clone, Debug)]
 pub struct DriveHistograms {
     /// Round trips.

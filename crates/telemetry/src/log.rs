@@ -13,14 +13,14 @@ pub enum MachineOf {
     Configuration {
         /// As messages call it.
         file: String,
-        /// Its text.
+        /// The text.
         text: String,
     },
     /// The demo.
     Demo {
         /// How many drives its first bus has.
         drives: usize,
-        /// Its period, ns.
+        /// The period, ns.
         period_ns: u64,
         /// Which of the demos of the computer it is.
         place: usize,
@@ -32,7 +32,7 @@ pub enum MachineOf {
 pub struct LogBegin {
     /// The end of the log.
     pub reader: LogReader,
-    /// What passes connections while the loop does not have them.
+    /// The bytes on connections while the loop does not have them.
     pub link: LinkTap,
     /// Where the plan comes from.
     pub machine: MachineOf,

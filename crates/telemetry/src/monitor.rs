@@ -52,7 +52,7 @@ impl Monitor {
         Run::new(plan, granted, end, measured, self.steal_ms())
     }
 
-    /// What the operating system granted.
+    /// The grants of the operating system.
     pub fn granted(&self) -> &Granted {
         &self.0.granted
     }
@@ -72,7 +72,7 @@ impl Monitor {
         self.0.gauges.numbers()
     }
 
-    /// What takes part without being a drive, in the order of the plan, and why it is not in operation.
+    /// The devices that are no drives, in the order of the plan, and why each is not in operation.
     pub fn devices(&self) -> Vec<DeviceEnd> {
         self.0.gauges.devices()
     }
@@ -82,7 +82,7 @@ impl Monitor {
         self.0.gauges.not_connected(index)
     }
 
-    /// What is to be known of drives and devices although they are in operation, since the configuration does not say
+    /// The remarks on drives and devices although they are in operation, since the configuration does not say
     /// it: a line each, with its name.
     pub fn remarks(&self) -> Vec<String> {
         self.0.gauges.remarks()

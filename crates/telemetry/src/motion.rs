@@ -105,13 +105,13 @@ impl Merge for Moved {
     }
 }
 
-/// What happened to an axis.
+/// The events of an axis.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Mark {
     /// The cycle in which it was noticed.
     pub cycle: u64,
-    /// What.
+    /// The event.
     pub what: Happened,
 }
 
@@ -145,7 +145,7 @@ impl Happened {
     }
 }
 
-/// So many marks of an axis are kept at each end: the first ones show where it began.
+/// The number of marks of an axis that are kept at each end: the first ones show where it began.
 const KEPT: usize = 64;
 
 /// The marks of an axis, in bounded memory.
@@ -229,7 +229,7 @@ pub struct AxisMotion {
     course: Stretches<Moved>,
     /// The largest following error, exactly; `None`: none was reported.
     pub error_max: Option<Largest>,
-    /// What happened.
+    /// The marks of events.
     pub marks: Marks,
 }
 
@@ -260,12 +260,12 @@ impl AxisMotion {
 /// How the axes moved, in the order of the plan.
 #[derive(Clone, Debug)]
 pub struct Motion {
-    axes: Vec<(AxisMotion, Known)>,
+    axes: Vec<(AxisMotion, LastRecord)>,
 }
 
-/// What is known of an axis from its record before.
+/// The state of an axis in its record before.
 #[derive(Clone, Debug, Default)]
-struct Known {
+struct LastRecord {
     modulo: Option<f64>,
     link: Link,
     state: State,
@@ -277,8 +277,9 @@ impl Motion {
     /// Axes with these units.
     #[doc(hidden)]
     pub fn new(units: &[Units]) -> Motion {
-        let axis =
-            |units: &Units| (AxisMotion::default(), Known { modulo: units.modulo, ..Known::default() });
+        let axis = |units: &Units| {
+            (AxisMotion::default(), LastRecord { modulo: units.modulo, ..LastRecord::default() })
+        };
         Motion { axes: units.iter().map(axis).collect() }
     }
 
@@ -316,7 +317,7 @@ impl Motion {
     }
 }
 
-impl Known {
+impl LastRecord {
     /// Whether something is new in `record`.
     #[inline]
     fn differs(&self, record: &DriveRecord) -> bool {
@@ -386,7 +387,7 @@ mod tests {
     }
 
     #[test]
-    fn what_happens_is_marked_once_and_counted_beyond_what_is_kept() {
+    fn events_are_marked_once_and_counted_beyond_the_limit() {
         let mut all = motion(None);
         for index in 0..1_000 {
             let fault = u32::from(index % 2 == 1) * 7;

@@ -12,7 +12,7 @@ use fieldbeat_core::time::US;
 /// The unit in which times are shown.
 pub const TIME: &str = "us";
 
-/// So many ns it has.
+/// The ns of that unit.
 pub const TIME_NS: f64 = US as f64;
 
 /// A time in that unit.
@@ -24,14 +24,14 @@ fn measured(ns: Option<NonZeroU32>) -> f64 {
     ns.map_or(f64::NAN, |ns| shown(ns.get()))
 }
 
-/// What has a value in each record `R`.
+/// A signal with a value in each record `R`.
 #[derive(Clone, Copy, Debug)]
 pub struct Signal<R> {
     /// As people read it. Fields of a recording have it with underscores, but for times.
     pub name: &'static str,
-    /// Its unit, `{}` for that of the axis; empty for a number.
+    /// The unit, `{}` for that of the axis; empty for a number.
     unit: &'static str,
-    /// Its value in that unit, not a number where it was not reported; of a rotary axis with the length of a turn.
+    /// The value in that unit, not a number where it was not reported; of a rotary axis with the length of a turn.
     pub value: fn(&R, Option<f64>) -> f64,
 }
 
@@ -40,12 +40,12 @@ impl<R> Signal<R> {
         Signal { name, unit, value }
     }
 
-    /// Its unit, of an axis with this one; empty for a number.
+    /// The unit, of an axis with this one; empty for a number.
     pub fn unit(&self, of_axis: &str) -> String {
         self.unit.replace("{}", of_axis)
     }
 
-    /// Its name with the unit.
+    /// The name with the unit.
     pub fn title(&self, of_axis: &str) -> String {
         format!("{} ({})", self.name, self.unit(of_axis))
     }
@@ -120,9 +120,9 @@ pub struct Kept {
     pub file: &'static str,
     /// Of the metric with the histogram; that with the maximum has `_max` behind it.
     pub metric: &'static str,
-    /// What the one is.
+    /// The description of the one.
     pub about: &'static str,
-    /// What the other is.
+    /// The description of the other.
     pub largest: &'static str,
 }
 
@@ -191,14 +191,14 @@ pub const AGE: Kept = Kept {
 
 type OfDrive = (Kept, fn(&DriveHistograms) -> &Quantity, fn(&Peaks) -> Peak);
 
-/// What is kept of each drive, and where its histogram and its maximum are.
+/// The kept quantities of each drive, and where their histogram and their maximum are.
 pub const KEPT_OF_DRIVE: [OfDrive; 3] = [
     (ROUND_TRIP, |of| &of.rtt, |of| of.rtt),
     (SEND_JITTER, |of| &of.send_jitter, |of| of.send_jitter),
     (AGE, |of| &of.age, |of| of.age),
 ];
 
-/// What is kept of the loop, in the order of texts: with the name of the stage, and what `T` has of each.
+/// The kept quantities of the loop, in the order of texts: with the name of the stage, and what `T` has of each.
 pub fn kept_of_loop<T>(
     [wake, jitter]: [T; 2],
     phase_error: Option<T>,

@@ -15,7 +15,7 @@ use fieldbeat_core::axis::cell::Reader;
 use fieldbeat_core::cycle::record::Record;
 use fieldbeat_core::cycle::status::Status;
 
-/// So many batches may wait: those of some five seconds in which a disk does not take them.
+/// The number of batches that may wait: those of some five seconds in which a disk does not take them.
 const ROOM: usize = 256;
 
 /// How often it is looked at without records.
@@ -25,7 +25,7 @@ const LOOK_EVERY: Duration = Duration::from_millis(100);
 const PATIENCE: Duration = Duration::from_secs(5);
 const SLOWEST: u64 = 1_000_000;
 
-/// What it does with them.
+/// The writer of the records.
 pub trait Sink: fmt::Debug + Send {
     /// The clock of the records is so much earlier than UTC. Comes before all else.
     fn begin(&mut self, utc_ns: i64);
@@ -36,11 +36,11 @@ pub trait Sink: fmt::Debug + Send {
     /// The cause of a late cycle is known.
     fn late(&mut self, judged: &Judged);
 
-    /// What it holds is to be written, though nothing failed.
+    /// Requests that the held records are written, though nothing failed.
     fn request(&mut self);
 
-    /// So many records were lost on the way to it so far; comes after each batch, and now and then without one. What
-    /// the loop has logged is taken now. Returns what failed meanwhile.
+    /// Reports the number of records lost on the way to it so far; comes after each batch, and now and then without
+    /// one. The log of the loop is taken now. Returns what failed meanwhile.
     fn look(&mut self, lost: u64) -> Option<String>;
 
     /// About how many bytes it holds in memory and writes at its end.
@@ -59,13 +59,13 @@ pub struct Recorded {
     pub path: PathBuf,
     /// Why it ends where it does.
     pub why: String,
-    /// Its messages.
+    /// The messages.
     pub messages: u64,
-    /// Its size, bytes.
+    /// The size, bytes.
     pub bytes: u64,
     /// Records that are missing in it, since its disk was too slow or has failed.
     pub lost: u64,
-    /// What is in it for a replay; `None`: it was recorded without the wire.
+    /// The parts of it for a replay; `None`: it was recorded without the wire.
     pub wire: Option<WireSummary>,
     /// Why it could not be written to its end.
     pub error: Option<String>,
@@ -79,7 +79,7 @@ impl Recorded {
     }
 }
 
-/// What a recording has for `Replay`.
+/// The parts of a recording for `Replay`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
 #[non_exhaustive]
@@ -177,8 +177,8 @@ impl SinkThread {
 }
 
 impl Recorded {
-    /// What failed, in one line; `None` if nothing did. How many records are missing is not in it: the line stays the
-    /// same while there are more of them.
+    /// The failure, in one line; `None` if there is none. The number of missing records is not in it: the line stays
+    /// the same while there are more of them.
     pub fn failure(&self) -> Option<String> {
         let missing = "records are missing, since its disk or this host was too slow; record to another \
              disk, or with a longer period";
@@ -203,9 +203,9 @@ impl fmt::Display for Recorded {
 
 /// A request that anyone may make and the thread takes once.
 #[derive(Debug, Default)]
-pub struct Request(AtomicBool);
+pub struct PendingRequest(AtomicBool);
 
-impl Request {
+impl PendingRequest {
     /// Makes it.
     pub fn make(&self) {
         self.0.store(true, Ordering::Release);

@@ -6,7 +6,7 @@ use std::num::NonZeroU64;
 /// The most stretches: more than a plot is wide. Even, so that two always become one.
 pub const MOST: usize = 1024;
 
-/// What two stretches have in common.
+/// The operations that two stretches have in common.
 pub trait Merge: Copy + Default {
     /// Takes in what the other one has.
     fn merge(&mut self, other: Self);
@@ -96,7 +96,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_is_lost_however_many_become_one() {
+    fn merged_stretches_keep_every_count() {
         let mut all = Stretches::default();
         for index in (0..5_000_000_000).step_by(1_000_003) {
             *all.at(index) += 1;

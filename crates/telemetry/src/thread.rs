@@ -13,7 +13,7 @@ use std::time::Duration;
 use super::causes::Causes;
 use super::histograms::Histograms;
 use super::motion::Motion;
-use super::sink::{Feed, Recorded, Request, SinkThread};
+use super::sink::{Feed, PendingRequest, Recorded, SinkThread};
 use super::tap::Taps;
 use super::timeline::Timeline;
 use crate::parts::Parts;
@@ -38,8 +38,8 @@ const CLOSELY_NS: u64 = 250 * MS;
 /// How often what the kernel counted against the loop's thread is read: it takes some hundred microseconds.
 const COUNT_EVERY_NS: u64 = 100 * MS;
 
-/// What the ring holds: the thread is a normal one, and on a busy host it waits for its turn far longer than it sleeps.
-/// With room for 100 ms, 5 923 records of 4 s were lost next to a compiler on every core.
+/// The room of the ring: the thread is a normal one, and on a busy host it waits for its turn far longer than it
+/// sleeps. With room for 100 ms, 5 923 records of 4 s were lost next to a compiler on every core.
 const RING_NS: u64 = S;
 
 /// And so many records at least, some seconds of a small machine: next to three test programs and a compiler on two
@@ -49,7 +49,7 @@ const LEAST_RECORDS: usize = 1 << 13;
 /// The most records in all. Their memory is locked; the loop counts what does not fit.
 const MOST_RECORDS: usize = 1 << 18;
 
-/// What the records of a run came to.
+/// The results of a run's records.
 #[derive(Clone, Debug)]
 #[non_exhaustive]
 pub struct Measured {
@@ -68,19 +68,19 @@ pub struct Measured {
     pub emergencies: VecDeque<DriveEmergency>,
     /// The files that the black box was written to, or could not be.
     pub black_boxes: Vec<Written>,
-    /// What was recorded, once the run has ended.
+    /// The recordings, once the run has ended.
     pub recordings: Vec<Recorded>,
-    /// What failed of the program itself, each once.
+    /// The failures of the program itself, each once.
     pub failures: Vec<Failure>,
     /// How many that were, those that made room for newer ones included.
     files: usize,
     period_ns: u64,
 }
 
-/// So many records are entered without a pause for those who look.
+/// The number of records that are entered without a pause for readers.
 const PIECE: usize = 1024;
 
-/// So many files and emergencies are kept for the application.
+/// The number of files and emergencies that are kept for the application.
 const MOST_KEPT: usize = 64;
 
 /// A part of the program failed: a panic, or a thread that ended too early.
@@ -88,7 +88,7 @@ const MOST_KEPT: usize = 64;
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
 #[non_exhaustive]
 pub struct Failure {
-    /// What failed, and what follows from it.
+    /// The failure, and what follows from it.
     pub what: String,
     /// The run has failed by it: axes were stopped, or data was lost.
     pub fails_run: bool,
@@ -111,7 +111,7 @@ pub struct DriveEmergency {
     pub cycle: u64,
     /// The axis, in the order of the plan.
     pub axis: usize,
-    /// What it said.
+    /// The emergency message.
     pub emergency: Emergency,
 }
 
@@ -204,7 +204,7 @@ pub struct Run {
     pub end: Numbers,
     /// Histograms, causes, the course of the run.
     pub measured: Measured,
-    /// What the operating system granted.
+    /// The grants of the operating system.
     pub granted: Granted,
     /// The machine as planned.
     pub plan: Arc<Plan>,
@@ -226,10 +226,10 @@ impl Run {
     }
 }
 
-/// What writes the last records to a file when something fails. It runs on the telemetry thread.
+/// The writer of the last records to a file when something fails. It runs on the telemetry thread.
 #[doc(hidden)]
 pub trait Keep: fmt::Debug + Send {
-    /// What a reader of their memory needs to know of them after the program has ended.
+    /// The description of the records for a reader of their memory after the program has ended.
     fn about(&self) -> Vec<u8>;
 
     /// Makes files of what earlier programs have left that were killed. Comes first.
@@ -268,7 +268,7 @@ pub struct Written {
     /// The file that made room for it.
     #[cfg_attr(feature = "serde", serde(skip))]
     pub replaced: Option<PathBuf>,
-    /// Its disk did not answer in time, or its writer panicked: the run has failed.
+    /// The disk did not answer in time, or its writer panicked: the run has failed.
     #[cfg_attr(feature = "serde", serde(skip))]
     pub fails_run: bool,
 }
@@ -291,15 +291,15 @@ impl fmt::Display for Written {
     }
 }
 
-/// What the thread fills, for any number of readers.
+/// The results that the thread fills, for any number of readers.
 #[derive(Debug)]
 pub struct Gathered {
     measured: Mutex<Measured>,
     taps: Taps,
     end: AtomicBool,
-    black_box: Request,
+    black_box: PendingRequest,
     /// A recording of what is newest is to be written.
-    record: Request,
+    record: PendingRequest,
     /// Records that found no room in the ring, once the run has ended.
     lost: AtomicU64,
     /// Why the run ended, if the program itself failed.
@@ -307,7 +307,7 @@ pub struct Gathered {
 }
 
 impl Gathered {
-    /// What was measured so far. The telemetry waits meanwhile, the loop does not.
+    /// The measurements so far. The telemetry waits meanwhile, the loop does not.
     pub fn read(&self) -> MutexGuard<'_, Measured> {
         // A poisoned lock only means that a reader panicked; the numbers are whole.
         self.measured.lock().unwrap_or_else(PoisonError::into_inner)
@@ -332,7 +332,7 @@ impl Gathered {
         self.read().failed(what, fails_run);
     }
 
-    /// Asks for the black box to be written, and for what a recording holds in memory.
+    /// Requests that the black box is written, and what a recording holds in memory.
     pub fn write_black_box(&self) {
         self.black_box.make();
         self.record.make();
@@ -372,8 +372,8 @@ impl TelemetryThread {
             measured: Mutex::new(measured),
             taps,
             end: AtomicBool::new(false),
-            black_box: Request::default(),
-            record: Request::default(),
+            black_box: PendingRequest::default(),
+            record: PendingRequest::default(),
             lost: AtomicU64::new(0),
             conclusion: Mutex::default(),
         });
@@ -477,7 +477,7 @@ impl TelemetryThread {
         Ok(self)
     }
 
-    /// What it fills.
+    /// The results that it fills.
     pub fn gathered(&self) -> &Arc<Gathered> {
         &self.gathered
     }
@@ -619,7 +619,7 @@ mod tests {
     }
 
     #[test]
-    fn who_gives_signs_of_life_does_not_wait_for_a_telemetry_that_is_at_work() {
+    fn a_sign_of_life_does_not_wait_for_a_busy_telemetry_thread() {
         let (mut records, ring) = ring();
         let measured = Measured::new(&[Units::millimetres(1.0); 1], &CyclePlan::default(), false);
         let ((at_work, held), (go_on, goes_on)) = (mpsc::channel(), mpsc::channel());

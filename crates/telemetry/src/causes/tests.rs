@@ -47,7 +47,7 @@ impl Loop {
         self.index += 1;
     }
 
-    /// So many spans of five cycles each, with nothing in them.
+    /// Enters `spans` spans of five cycles each, with nothing in them.
     fn quiet(&mut self, spans: u64) {
         for _ in 0..spans {
             for _ in 0..5 {
@@ -202,7 +202,7 @@ fn a_drive_is_named() {
 }
 
 #[test]
-fn what_was_lost_on_the_way_is_unknown() {
+fn lost_records_have_an_unknown_cause() {
     let mut one = Loop::new();
     one.late += 3;
     assert_eq!(one.found(), [(Cause::Unknown, 3)]);
