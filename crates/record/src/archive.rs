@@ -43,7 +43,7 @@ pub struct Archive {
     pub late_ns: u64,
     /// Replies are taken in until then, ns after the grid point.
     pub deadline_ns: u64,
-    /// What the loop counted.
+    /// The counts of the loop.
     pub counts: Counts,
     /// Begins of the cycles after their grid points.
     pub wake: Sampled,
@@ -55,7 +55,7 @@ pub struct Archive {
     pub causes: Vec<CauseCount>,
     /// The drives, in the order of the plan.
     pub drives: Vec<Drive>,
-    /// What failed of the program itself.
+    /// The failures of the program itself.
     pub failures: Vec<String>,
     /// The largest values over time.
     pub timeline: Timeline,
@@ -71,9 +71,9 @@ pub struct Host {
     pub computer: super::summary::Host,
     /// Scheduling policy of the loop, and its priority.
     pub policy: String,
-    /// Its core.
+    /// The core.
     pub core: Option<usize>,
-    /// What the operating system did not grant.
+    /// The requests that the operating system did not grant.
     pub missing: Vec<String>,
 }
 
@@ -114,12 +114,12 @@ impl Sampled {
         Sampled { bins: Bins::of(quantity), max_ns: peak.ns, max_cycle: peak.index }
     }
 
-    /// Its largest value.
+    /// The largest value.
     pub fn peak(&self) -> Peak {
         Peak { ns: self.max_ns, index: self.max_cycle }
     }
 
-    /// Its quantiles.
+    /// The quantiles.
     pub fn quantiles(&self) -> Quantiles {
         self.bins.quantiles(self.peak())
     }
@@ -146,9 +146,9 @@ pub struct CauseCount {
 /// One drive.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Drive {
-    /// Its name.
+    /// The name.
     pub name: String,
-    /// Its protocol.
+    /// The protocol.
     pub protocol: String,
     /// The unit of its axis.
     pub unit: String,
@@ -158,15 +158,15 @@ pub struct Drive {
     pub state: String,
     /// Why its axis stands stopped.
     pub stopped: Option<String>,
-    /// Its fault.
+    /// The fault.
     pub fault: Option<String>,
     /// The names of the faults that it had, by their codes.
     pub fault_names: BTreeMap<u32, String>,
     /// Times that the link was lost.
     pub losses: u64,
-    /// Its exchanges: name and count.
+    /// The exchanges: name and count.
     pub exchanges: Exchanges,
-    /// Its round trips.
+    /// The round trips.
     pub rtt: Sampled,
     /// How it moved.
     pub motion: AxisMotion,
@@ -205,7 +205,7 @@ pub enum ArchiveError {
     Unread {
         /// The file.
         file: PathBuf,
-        /// What the operating system said.
+        /// The error of the operating system.
         error: io::Error,
     },
     /// It is something else, or broken.
@@ -215,7 +215,7 @@ pub enum ArchiveError {
     NotOne {
         /// The file.
         file: PathBuf,
-        /// What does not fit.
+        /// The part that does not fit.
         why: String,
     },
     /// Another version wrote it.
@@ -225,7 +225,7 @@ pub enum ArchiveError {
     Form {
         /// The file.
         file: PathBuf,
-        /// Its form.
+        /// The form.
         found: u64,
     },
 }
@@ -312,7 +312,7 @@ impl Archive {
     pub fn parse(text: &str, file: &Path) -> Result<Archive, ArchiveError> {
         let not_one =
             |error: serde_json::Error| ArchiveError::NotOne { file: file.to_owned(), why: error.to_string() };
-        /// What every form has.
+        /// The fields that every form has.
         #[derive(Deserialize)]
         struct Form {
             format: u64,
@@ -436,7 +436,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn what_is_written_is_what_is_read() {
+    fn a_written_archive_reads_back_equal() {
         let run = fieldbeat_testing::runs::run("x", 3_000);
         let archive = archive(&run);
         let read = Archive::parse(&archive.to_json(), Path::new("run.json")).unwrap();

@@ -33,7 +33,7 @@ pub struct Interval {
     pub high: f64,
 }
 
-/// What the comparison says.
+/// The result of the comparison.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Verdict {
@@ -48,7 +48,7 @@ pub enum Verdict {
 /// One quantity of two runs.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Compared {
-    /// What.
+    /// The compared quantity.
     pub what: String,
     /// Values are shares, not ns.
     pub share: bool,
@@ -56,7 +56,7 @@ pub struct Compared {
     pub this: Interval,
     /// The earlier one.
     pub earlier: Interval,
-    /// What follows.
+    /// The conclusion.
     pub verdict: Verdict,
 }
 
@@ -101,7 +101,7 @@ pub fn significant(value: f64) -> String {
     if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
 }
 
-/// What is compared of a histogram: its name, and how it is taken.
+/// The compared values of a histogram: their name, and how they are taken.
 #[derive(Clone, Copy, Debug)]
 enum Measure {
     /// The value at this rank.
@@ -311,7 +311,7 @@ mod tests {
     }
 
     #[test]
-    fn of_short_runs_and_small_samples_nothing_is_said() {
+    fn short_runs_and_small_samples_are_not_judged() {
         let few = parts(10_000, 500, 1)[..5].to_vec();
         assert_eq!(of_histograms("x", &few, &few, &[("p50", Measure::Quantile(0.5))]), []);
         let small: Vec<Bins> = (0..20).map(|place| bins(place..place + 2)).collect();
@@ -331,7 +331,7 @@ mod tests {
     }
 
     #[test]
-    fn other_machines_are_told_apart() {
+    fn other_machines_are_distinguished() {
         let x = archive(&run("x", 20_000));
         assert_eq!(differences(&x, &x), [""; 0]);
         let mut y = archive(&run("y", 20_000));

@@ -6,10 +6,10 @@ use fieldbeat_core::cycle::record::DriveRecord;
 
 /// The drives as they were last seen.
 #[derive(Debug)]
-pub struct Failures(Vec<Known>);
+pub struct Failures(Vec<LastState>);
 
 #[derive(Debug)]
-struct Known {
+struct LastState {
     name: String,
     fault_names: FaultNames,
     link: Link,
@@ -21,7 +21,7 @@ impl Failures {
     /// Of the machine of `plan`.
     pub fn of(plan: &Plan) -> Failures {
         let axes = plan.axes().into_iter().zip(plan.fault_names());
-        let known = |(axis, fault_names): (&fieldbeat_core::axis::AxisPlan, FaultNames)| Known {
+        let known = |(axis, fault_names): (&fieldbeat_core::axis::AxisPlan, FaultNames)| LastState {
             name: axis.name.clone(),
             fault_names,
             link: Link::default(),
@@ -33,7 +33,7 @@ impl Failures {
 
     /// Of drives with these names.
     pub fn of_names(names: &[&str]) -> Failures {
-        let known = |name: &&str| Known {
+        let known = |name: &&str| LastState {
             name: (*name).to_owned(),
             fault_names: |_| None,
             link: Link::default(),
@@ -43,7 +43,7 @@ impl Failures {
         Failures(names.iter().map(known).collect())
     }
 
-    /// What has newly failed: a lost link, a fault, a stop that is not that of the end.
+    /// The new failure: a lost link, a fault, a stop that is not that of the end.
     pub fn see(&mut self, drive: &DriveRecord) -> Option<String> {
         let known = self.0.get_mut(usize::from(drive.axis))?;
         let before = (known.link, known.fault, known.stopped);

@@ -28,7 +28,7 @@ pub fn save_new(path: &Path, bytes: &[u8]) -> io::Result<()> {
 #[derive(Debug)]
 pub struct Place {
     directory: PathBuf,
-    /// What was missing of it, the innermost first.
+    /// The directories that were missing, the innermost first.
     made: Vec<PathBuf>,
 }
 
@@ -133,7 +133,7 @@ mod tests {
     }
 
     #[test]
-    fn it_has_the_rights_of_every_other_file() {
+    fn a_saved_file_has_usual_permissions() {
         let directory = tempfile::tempdir().unwrap();
         let [ours, other] = ["ours", "other"].map(|name| directory.path().join(name));
         save(&ours, b"").unwrap();
@@ -143,7 +143,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_is_left_of_what_cannot_have_its_name() {
+    fn a_file_that_cannot_be_named_leaves_no_rest() {
         let directory = tempfile::tempdir().unwrap();
         let taken = directory.path().join("taken");
         fs::create_dir(&taken).unwrap();

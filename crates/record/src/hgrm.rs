@@ -87,7 +87,7 @@ mod tests {
     }
 
     #[test]
-    fn of_nothing_it_has_no_line() {
+    fn an_empty_histogram_has_no_lines() {
         let text = distribution(&Histograms::new(0).wake, Peak::default());
         assert_eq!(text.lines().filter(|line| !line.starts_with('#')).count(), 2, "{text}");
         assert!(text.contains("Total count    =            0]"), "{text}");

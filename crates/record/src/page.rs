@@ -22,9 +22,9 @@ pub const VERDICT: &str = " verdict";
 /// A table of the page.
 #[derive(Clone, Debug, Default)]
 pub struct Table {
-    /// Its title, under which it is found.
+    /// The title, under which it is found.
     pub title: String,
-    /// What it says of itself.
+    /// The description.
     pub about: String,
     /// The columns; those whose name begins with a blank hold words, not numbers.
     pub columns: Vec<&'static str>,
@@ -37,7 +37,7 @@ pub struct Table {
 pub struct Row {
     /// Whether it stands out: not so, as good, or as bad.
     pub good: Option<bool>,
-    /// Its cells.
+    /// The cells.
     pub cells: Vec<String>,
 }
 
@@ -47,7 +47,7 @@ impl From<Vec<String>> for Row {
     }
 }
 
-/// What stands on the page.
+/// The contents of the page.
 #[derive(Debug)]
 pub struct Page<'a> {
     /// The run.
@@ -60,7 +60,7 @@ pub struct Page<'a> {
     pub earlier: &'a [(String, Archive)],
     /// Whether its period was carried.
     pub carried: Option<&'a Carried>,
-    /// What comes before the plots.
+    /// The tables before the plots.
     pub tables: Vec<Table>,
     /// Texts at the end: titles, and lines.
     pub texts: &'a [(String, String)],
@@ -131,7 +131,7 @@ impl Page<'_> {
         format!("host {name}: kernel {kernel}, {preemption}; {cpu}; {policy} on {core}; steal {steal}")
     }
 
-    /// What limits the meaning of these numbers.
+    /// The limits of the meaning of these numbers.
     fn warnings(&self) -> Vec<String> {
         let mut warnings = Vec::new();
         if !self.run.host.missing.is_empty() {
@@ -442,7 +442,7 @@ mod tests {
     }
 
     #[test]
-    fn what_these_numbers_are_worth_stands_on_the_page() {
+    fn the_page_states_how_far_its_numbers_hold() {
         let mut run = run("x", 2_000);
         let lines = ["These numbers are not real-time: no right", "3 telemetry records lost"];
         let shown = |run: &fieldbeat_telemetry::Run| texts(&page(&archive(run), &[]));

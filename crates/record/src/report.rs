@@ -31,7 +31,7 @@ use fieldbeat_telemetry::signals::{JITTER, KEPT_OF_DRIVE, PHASE_ERROR, STAGE, WA
 /// The page and the files next to it.
 const FILES: [&str; 3] = ["index.html", "summary.json", "run.json"];
 
-/// What a soak test goes on from.
+/// The file from which a soak test goes on.
 pub const CHECKPOINT: &str = "checkpoint.json";
 
 /// The plots of earlier versions, which are on the page now.
@@ -64,7 +64,7 @@ pub enum ReportError {
     Directory {
         /// The directory.
         directory: PathBuf,
-        /// What the operating system said.
+        /// The error of the operating system.
         error: io::Error,
     },
     /// A file could not be written. Those before it are whole.
@@ -75,7 +75,7 @@ pub enum ReportError {
     File {
         /// The file.
         file: PathBuf,
-        /// What the operating system said.
+        /// The error of the operating system.
         error: io::Error,
     },
     /// A file of an earlier report is still there. This one is whole.
@@ -83,7 +83,7 @@ pub enum ReportError {
     Earlier {
         /// The file.
         file: PathBuf,
-        /// What the operating system said.
+        /// The error of the operating system.
         error: io::Error,
     },
 }
@@ -200,7 +200,7 @@ pub fn earlier_run(file: &Path) -> Result<(String, Archive), ArchiveError> {
     Ok((name.to_string_lossy().into_owned(), earlier))
 }
 
-/// What became of the drives, and of the program itself.
+/// The outcome of the drives, and of the program itself.
 fn verdict(summary: &Summary) -> String {
     let named = |what: &str, chosen: &dyn Fn(&Drive) -> bool| {
         let names: Vec<&str> =

@@ -3,7 +3,7 @@
 
 use anstyle::{AnsiColor, Style};
 
-/// What went wrong.
+/// The style of failures.
 pub const BAD: Style = AnsiColor::Red.on_default().bold();
 
 /// The text, in this style if it is wanted.

@@ -18,13 +18,13 @@ use fieldbeat_core::cycle::record::{
 };
 use fieldbeat_core::time::Time;
 
-/// So many records of a file are kept, those of its end: as many as the largest black box has.
+/// The number of records of a file that are kept, those of its end: as many as the largest black box has.
 const MOST_RECORDS: usize = 1 << 21;
 
-/// So many faults of an axis have a name.
+/// The number of faults of an axis that have a name.
 const MOST_FAULTS: usize = 1 << 12;
 
-/// What the records are of.
+/// The description of the records.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Header {
     /// Version of the program that wrote it.
@@ -58,15 +58,15 @@ pub struct Header {
 /// An axis.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Axis {
-    /// Its name.
+    /// The name.
     pub name: String,
-    /// Its user unit.
+    /// The user unit.
     pub unit: String,
     /// On a rotary axis: the length of a turn. It is not in a file.
     pub modulo: Option<f64>,
     /// The monitored variables of its drive, channel by channel.
     pub monitor: [Option<Channel>; MONITOR_CHANNELS],
-    /// What its protocol calls the fault codes that occur in the records.
+    /// The protocol's names of the fault codes that occur in the records.
     pub faults: BTreeMap<u32, String>,
 }
 
@@ -80,13 +80,13 @@ impl Axis {
 /// A monitored variable of a drive.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Channel {
-    /// Its name.
+    /// The name.
     pub name: String,
     /// Of its values; empty for a plain number.
     pub unit: String,
 }
 
-/// What the records of a run of `plan` are of; no fault has occurred yet.
+/// The description of the records of a run of `plan`; no fault has occurred yet.
 pub fn header(plan: &Plan) -> Header {
     let Machine { about, axes, .. } = Machine::of(plan, env!("CARGO_PKG_VERSION"));
     let axes = axes.into_iter().map(|mut axis| Axis {
@@ -250,7 +250,7 @@ impl Loading {
         Ok(place)
     }
 
-    /// Its fields are those of its cycle, and one for each monitored variable.
+    /// The fields are those of its cycle, and one for each monitored variable.
     fn monitor(&mut self, entry: &Entry, index: u64, axis: u16) -> MonitorRecord {
         let known = &mut self.header.axes[usize::from(axis)].monitor;
         let mut shown = [None; MONITOR_CHANNELS];
@@ -306,7 +306,7 @@ fn drive(entry: &Entry, index: u64, axis: u16) -> Result<DriveRecord, Wrong> {
     })
 }
 
-/// What the number of a field stands for.
+/// The value that the number of a field stands for.
 fn meant<T>(entry: &Entry, field: &str, of: impl Fn(usize) -> Option<T>) -> Result<T, Wrong> {
     let number = entry.number(field);
     let known = usize::try_from(number).ok().and_then(of);
@@ -401,7 +401,7 @@ mod tests {
         ]
     }
 
-    /// What is read of a file with these bytes.
+    /// The contents of a file with these bytes.
     fn loaded(bytes: &[u8]) -> Result<(Header, Vec<Record>), Wrong> {
         let file = tempfile::NamedTempFile::new().unwrap();
         std::fs::write(file.path(), bytes).unwrap();
@@ -409,7 +409,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_written_is_read() {
+    fn a_written_black_box_reads_back_equal() {
         let mut expected = records();
         let (header, records) = loaded(&bytes(Some("drive x: link lost"), &expected)).unwrap();
         // Its values stand side by side.
@@ -428,7 +428,7 @@ mod tests {
     }
 
     #[test]
-    fn a_recording_of_a_run_is_told_up_to_its_end() {
+    fn a_recording_of_a_run_is_described_up_to_its_end() {
         let (header, records) = loaded(&bytes(None, &records())).unwrap();
         assert_eq!((&*header.why, header.cycle, records.len()), ("the end of the recording", 8, 7));
         assert!(!header.written.is_empty());

@@ -18,7 +18,7 @@ use fieldbeat_core::rt::MonotonicClock;
 use fieldbeat_core::rt::mapping::{Found, Left};
 use fieldbeat_core::time::nanos;
 
-/// What the memory has beside the records.
+/// The contents of the memory besides the records.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct About {
     /// Where the black box of the program wrote its files.
@@ -27,14 +27,14 @@ pub struct About {
     /// Of UTC, so much later than the clock of the records, ns.
     utc_ns: i64,
     machine: Machine,
-    /// What each protocol calls its codes.
+    /// The names that each protocol gives its codes.
     faults: BTreeMap<String, BTreeMap<u32, String>>,
 }
 
 /// A program that is killed again and again does not fill the disk: so many of its files stay.
 const MOST_FILES: usize = 16;
 
-/// What their names have.
+/// The part of their names before the process.
 pub const PROCESS: &str = "-process-";
 
 /// Codes that may have a name.
@@ -60,7 +60,7 @@ impl About {
         }
     }
 
-    /// Its bytes.
+    /// The bytes.
     pub fn to_bytes(&self) -> Vec<u8> {
         // Strings and numbers can always be written.
         serde_json::to_vec(self).unwrap_or_default()
@@ -87,7 +87,7 @@ fn absolute(directory: &Path) -> PathBuf {
     directory.ancestors().find_map(known).unwrap_or_else(|| directory.clone())
 }
 
-/// What one program has left. It is its holder's: nobody else finds it.
+/// The memory that one program has left. It is its holder's: nobody else finds it.
 #[derive(Debug)]
 pub struct Orphan {
     memory: Left,
@@ -100,7 +100,7 @@ pub struct Orphan {
 /// Memory of which no file is made here.
 #[derive(Debug)]
 pub struct Other {
-    /// Its name.
+    /// The name.
     pub path: PathBuf,
     /// Where the black box of its program wrote its files; `None`: it is of another version.
     pub directory: Option<PathBuf>,
@@ -205,7 +205,7 @@ fn remove_oldest(directory: &Path) {
     }
 }
 
-/// What a memory says of its records, and the records.
+/// The description of a memory's records, and the records.
 fn about(memory: &File) -> Option<(About, Remains<&File>)> {
     let remains = Remains::of(memory).ok()??;
     Some((serde_json::from_slice(&remains.about).ok()?, remains))

@@ -23,11 +23,11 @@ pub struct Listing {
 /// A file.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Entry {
-    /// Its name in the directory.
+    /// The name in the directory.
     pub file: String,
     /// When it was written, UTC; of a file that cannot be read, when it was changed last.
     pub written: String,
-    /// Its size, bytes.
+    /// The size, bytes.
     pub bytes: u64,
     /// The configuration of its machine; null: a machine built in code, or the file cannot be read.
     pub machine: Option<String>,

@@ -50,12 +50,12 @@ const PATIENCE: Duration = Duration::from_secs(5);
 /// How often it is looked whether they are written.
 const LOOK_EVERY: Duration = Duration::from_millis(2);
 
-/// What is kept.
+/// The kept records.
 #[derive(Debug)]
 pub struct BlackBox {
     directory: PathBuf,
     newest: Newest,
-    /// What passed the wires, if that is wanted.
+    /// The bytes that passed the wires, if they are wanted.
     wire: Option<RecentWire>,
     /// Cycles that it holds.
     cycles: u64,
@@ -77,7 +77,7 @@ struct Writing {
 }
 
 impl Writing {
-    /// What became of it; a writer that has not ended by now is left to its disk.
+    /// The result; a writer that has not ended by now is left to its disk.
     fn end(self, patience: Duration) -> Written {
         let Writing { mut written, thread } = self;
         written.error = match thread.is_finished().then(|| thread.join()) {
@@ -116,7 +116,7 @@ impl BlackBox {
         })
     }
 
-    /// Its files also have what has passed the wires, as far as it is in the log that comes from there.
+    /// The files also have what has passed the wires, as far as it is in the log that comes from there.
     #[doc(hidden)]
     pub fn with_wire(self, log: Receiver<LogBegin>) -> BlackBox {
         let kept_ns = self.cycles * self.newest.machine.period_ns;

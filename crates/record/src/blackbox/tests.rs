@@ -89,7 +89,7 @@ fn a_failure_is_written_once_with_its_aftermath() {
 }
 
 #[test]
-fn what_a_drive_shows_besides_comes_back_from_the_file() {
+fn monitored_values_are_read_back_from_the_file() {
     let directory = tempfile::tempdir().unwrap();
     let mut showing = LinUdpDrive::new("z", [127, 0, 0, 3].into());
     showing.monitor = MonitorPlan::Sources([None, Some(Upid(0x1BCD)), Some(Upid(0x1E0F)), None]);

@@ -164,7 +164,7 @@ mod tests {
     }
 
     #[test]
-    fn what_describes_a_machine_passes_through_its_map() {
+    fn a_machine_description_round_trips_through_its_map() {
         let configuration = MachineOf::Configuration { file: "m.toml".into(), text: "[cycle]\n".into() };
         let demo = MachineOf::Demo { drives: 8, period_ns: 1_000_000, place: 2 };
         for machine in [MachineOf::Code, configuration, demo] {

@@ -12,7 +12,7 @@ use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOp
 use super::layout::LONGEST_RECORD;
 use crate::recording::lz4::Decoder;
 
-/// What is wrong with a file.
+/// The mistake in a file.
 #[derive(thiserror::Error)]
 pub enum Unsound {
     /// Of the library.
@@ -67,7 +67,7 @@ impl<R: Read> Records<R> {
         Records { file, reader, place: Place::default(), is_over: false }
     }
 
-    /// What `take` makes of the first of the next records of which it makes something; `None` at the end of a whole
+    /// The first result that `take` gives for one of the next records; `None` at the end of a whole
     /// file. After an error there is nothing more.
     pub fn find<T, E: From<Unsound>>(
         &mut self,
@@ -166,7 +166,7 @@ impl Place {
 /// `None`: a text or a map in a record is longer than the record. The library takes memory for a text before it looks
 /// for its bytes.
 fn lengths_fit(opcode: u8, record: &[u8]) -> Option<()> {
-    /// What is behind a text, or behind a map.
+    /// The bytes behind a text, or behind a map.
     fn skip(from: &[u8]) -> Option<(&[u8], &[u8])> {
         let (length, rest) = from.split_first_chunk()?;
         rest.split_at_checked(u32::from_le_bytes(*length).try_into().ok()?)

@@ -51,7 +51,7 @@ pub enum MetricsError {
     Bind {
         /// The address.
         address: SocketAddr,
-        /// What the operating system said.
+        /// The error of the operating system.
         error: io::Error,
     },
     /// No thread.
@@ -63,7 +63,7 @@ pub enum MetricsError {
 }
 fieldbeat_core::debug_as_display!(MetricsError);
 
-/// What to do about an address that cannot be had.
+/// The remedy for an address that cannot be had.
 pub fn remedy(error: &io::Error) -> &'static str {
     match error.kind() {
         io::ErrorKind::AddrInUse => "another program listens there (ss -ltnp shows which): use another port",
@@ -219,11 +219,11 @@ fn answer(request: &Requested, page: &dyn Fn() -> String) -> Vec<u8> {
 
 const FORBIDDEN: &str = "403 Forbidden";
 
-/// What helps against it.
+/// The remedy.
 const REMEDY: &str = "the Host of the request is no name of this endpoint: use its address, localhost or the \
      name of this computer, or start with --metrics NAME:PORT";
 
-/// What is requested.
+/// The kind of request.
 #[derive(Debug, PartialEq)]
 enum Requested {
     Page(Form),

@@ -169,7 +169,7 @@ const CLOCK_ERROR: &str = "Largest phase error of that clock and the grid since 
 /// Labels of a sample.
 type Labels<'a, const N: usize> = [(&'static str, &'a str); N];
 
-/// What is written to, one family of samples after the other.
+/// The page that is written, one family of samples after the other.
 struct Sheet<'a>(DescriptorEncoder<'a>);
 
 impl Sheet<'_> {
@@ -346,7 +346,7 @@ impl Sheet<'_> {
     }
 }
 
-/// What each stage has, with its label.
+/// The value of each stage, with its label.
 fn of_stages<'a, T>(of: impl IntoIterator<Item = T>) -> impl Iterator<Item = (Labels<'a, 1>, T)> {
     Stage::ALL.into_iter().map(|stage| [("stage", stage.name())]).zip(of)
 }

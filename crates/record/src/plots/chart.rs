@@ -8,7 +8,7 @@ use super::scale::Scale;
 const WIDTH: f64 = 2000.0;
 const HEIGHT: f64 = 1000.0;
 
-/// So many colours the page has: `c0` to `c7`.
+/// The number of colours of the page: `c0` to `c7`.
 pub const COLOURS: usize = 8;
 
 /// Text as it stands in HTML and XML.

@@ -65,7 +65,7 @@ fn plot_of(run: &Archive, drive: &Drive, of: &Signal<DriveRecord>, curves: &[Cur
     chart.finish(&format!("{}-{}", of.name.replace(' ', "-"), drive.name), "")
 }
 
-/// What happened, in words.
+/// The event in words.
 pub fn happened(drive: &Drive, what: &Happened) -> String {
     match what {
         Happened::Online => "online".to_owned(),

@@ -17,7 +17,7 @@ const MEDIAN: f64 = std::f64::consts::LOG10_2;
 /// Points of a curve for each nine.
 const POINTS_PER_NINE: f64 = 25.0;
 
-/// So many drives have a colour and a line in the legend each; of more only [`WORST`] of them.
+/// The number of drives that have a colour and a line in the legend each; of more only [`WORST`] of them.
 const NAMED: usize = COLOURS;
 
 /// Of many drives these are the ones to look at.

@@ -8,20 +8,20 @@ use fieldbeat_telemetry::signals::{TIME, TIME_NS};
 pub struct Tick {
     /// The value.
     pub at: f64,
-    /// Its label; `None`: only a line.
+    /// The label; `None`: only a line.
     pub label: Option<String>,
 }
 
 /// An axis. A logarithmic one is a linear one of logarithms.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Scale {
-    /// Its begin.
+    /// The begin.
     pub low: f64,
-    /// Its end.
+    /// The end.
     pub high: f64,
-    /// Its grid, rising.
+    /// The grid, rising.
     pub ticks: Vec<Tick>,
-    /// What it shows.
+    /// The title.
     pub title: String,
 }
 

@@ -17,7 +17,7 @@ const CHUNK_BYTES: usize = 8 << 20;
 /// A file while it is written.
 pub struct Container<W> {
     out: W,
-    /// So many bytes of it are out, and the checksum of those.
+    /// The number of bytes that are written, and their checksum.
     at: u64,
     checksum: Hasher,
     /// The records that stand at its end again.
@@ -32,9 +32,9 @@ pub struct Container<W> {
     all_times: Option<(u64, u64)>,
     /// The chunks so far.
     chunks: Vec<Chunk>,
-    /// So many messages each channel has in each of them.
+    /// The number of messages of each channel in each of them.
     counts: Vec<u32>,
-    /// What is written next.
+    /// The bytes that are written next.
     record: Vec<u8>,
 }
 
@@ -52,7 +52,7 @@ struct Chunk {
     length: u64,
     bytes: u64,
     compressed: u64,
-    /// So many of the channels were there.
+    /// The number of channels at that time.
     channels: usize,
 }
 

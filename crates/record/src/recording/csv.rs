@@ -9,7 +9,7 @@ use csv::Writer;
 
 use super::reading::{Entry, Topic};
 
-/// What a message of an axis shows in the table of all axes.
+/// The columns of an axis in the table of all axes.
 const SHOWN: [&str; 7] =
     ["position", "demand", "following_error", "velocity", "current", "state_name", "fault"];
 

@@ -7,7 +7,7 @@ use lz4_flex::block::{self, get_maximum_output_size};
 use mcap::sans_io::decompressor::{DecompressResult, Decompressor};
 use mcap::{McapError, McapResult};
 
-/// Its name in MCAP.
+/// The name in MCAP.
 pub const NAME: &str = "lz4";
 
 /// The magic number of a frame, independent blocks of 4 MiB at most, and the checksum of that.
@@ -40,7 +40,7 @@ pub fn compress(bytes: &[u8], out: &mut Vec<u8>) {
     out.extend([0; size_of::<u32>()]);
 }
 
-/// What a frame goes on with.
+/// The next part of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Part {
     Head,
@@ -52,7 +52,7 @@ enum Part {
 #[derive(Debug)]
 pub struct Decoder {
     part: Part,
-    /// Its bytes so far, and how many it has.
+    /// The bytes so far, and how many it has.
     held: Vec<u8>,
     wanted: usize,
     /// Where the bytes of the newest block are, and which of them are not given yet.

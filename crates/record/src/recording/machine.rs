@@ -43,7 +43,7 @@ pub const FORMAT: &str = "1";
 pub struct Machine {
     /// Metadata of the file.
     pub about: BTreeMap<String, String>,
-    /// Its axes, in the order of the plan.
+    /// The axes, in the order of the plan.
     pub axes: Vec<AxisAbout>,
     /// The period of the cycle.
     pub period_ns: u64,
@@ -52,7 +52,7 @@ pub struct Machine {
 /// An axis.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct AxisAbout {
-    /// Its name.
+    /// The name.
     pub name: String,
     /// Metadata of its channel.
     pub about: BTreeMap<String, String>,
@@ -60,7 +60,7 @@ pub struct AxisAbout {
     pub modulo: Option<f64>,
     /// Names and units of its monitored variables.
     pub monitor: [Option<(String, String)>; MONITOR_CHANNELS],
-    /// What is known of its native process data, if they are recorded.
+    /// The description of its native process data, if they are recorded.
     #[serde(skip)]
     pub native: Option<NativeLayout>,
     /// Names of the codes of its drive.
@@ -145,7 +145,7 @@ impl Machine {
     }
 }
 
-/// What the keys begin with under which the metadata of an axis' channel name a code.
+/// The begin of the keys under which the metadata of an axis' channel name a code.
 const FAULT: &str = "fault ";
 
 /// The codes that the metadata of an axis' channel name, and their names.
@@ -154,7 +154,7 @@ pub fn faults_of(about: &HashMap<String, String>) -> impl Iterator<Item = (u32, 
     about.iter().filter_map(move |(key, name)| Some((code(key)?, name)))
 }
 
-/// What every machine has.
+/// The entries of every machine.
 pub fn of_cycle(program: &str, period_ns: u64, deadline_ns: u64, late_ns: u64) -> BTreeMap<String, String> {
     [
         ("format", FORMAT.to_owned()),
@@ -167,7 +167,7 @@ pub fn of_cycle(program: &str, period_ns: u64, deadline_ns: u64, late_ns: u64) -
     .into()
 }
 
-/// What the channel of an axis says of it.
+/// The description of an axis in its channel.
 pub fn of_axis(unit: &str, protocol: &str) -> BTreeMap<String, String> {
     [
         (UNIT, unit.to_owned()),

@@ -21,7 +21,7 @@ use fieldbeat_telemetry::causes::Judged;
 pub struct At<T> {
     /// The slot.
     pub cycle: u64,
-    /// Its grid point, ns of CLOCK_MONOTONIC.
+    /// The grid point, ns of CLOCK_MONOTONIC.
     pub monotonic_ns: u64,
     /// The record.
     pub of: T,
@@ -52,7 +52,7 @@ fn table<T>(name: &str, fields: List<T>) -> Table<At<T>> {
     Table::new(name, all)
 }
 
-/// What every message has, alone.
+/// The fields of every message, alone.
 pub fn every() -> Table<At<()>> {
     table("Every", Vec::new())
 }
@@ -60,7 +60,7 @@ pub fn every() -> Table<At<()>> {
 /// A drive in an executed cycle.
 #[derive(Default)]
 pub struct AxisRecord {
-    /// What the loop reported.
+    /// The report of the loop.
     pub drive: DriveRecord,
     /// On a rotary axis: the length of a turn.
     pub modulo: Option<f64>,

@@ -4,7 +4,7 @@ use super::messages::NativeValues;
 use fieldbeat_core::bus::native::{NativeField, NativeLayout};
 use fieldbeat_core::cycle::record::NativeRecord;
 
-/// What is known of the parts of one drive.
+/// The description of the parts of one drive.
 #[derive(Debug)]
 pub struct Parts {
     layout: NativeLayout,

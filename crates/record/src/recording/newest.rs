@@ -10,10 +10,10 @@ use fieldbeat_core::cycle::record::Record;
 use fieldbeat_core::time::MS;
 use fieldbeat_telemetry::causes::Judged;
 
-/// So much of what follows upon a failure is in its file: how the stop went.
+/// The time after a failure that is in its file: how the stop went.
 pub const AFTERMATH_NS: u64 = 200 * MS;
 
-/// What is known of the newest records of a machine.
+/// The newest records of a machine.
 #[derive(Debug)]
 pub struct Newest {
     /// The newest cycle, executed or skipped.
@@ -46,7 +46,7 @@ pub struct Due {
 pub struct Encoded {
     /// All of it.
     pub bytes: Vec<u8>,
-    /// Its messages.
+    /// The messages.
     pub messages: u64,
     /// Records that are missing in it.
     pub lost: u64,
@@ -87,7 +87,7 @@ impl Newest {
         }
     }
 
-    /// What is to be written by now; whatever is, if there is nothing more to wait for. A file without an executed
+    /// The records to be written by now; all of them, if there is nothing more to wait for. A file without an executed
     /// cycle says nothing: one that is due before the first of them waits for that.
     pub fn take_due(&mut self, last: bool) -> Option<Due> {
         let executed = self.executed.is_some();

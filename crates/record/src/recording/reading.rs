@@ -21,7 +21,7 @@ use super::schema::{PACKAGE, identifier};
 use crate::log::layout::TOPIC;
 use crate::log::records::{Records, Unsound};
 
-/// What a file says of its machine has no more bytes: the most of it is the text of the configuration.
+/// The most bytes of a file's description of its machine: the most of it is the text of the configuration.
 const MOST_ABOUT: u64 = 16 << 20;
 
 /// A recording that is read once, from its begin to its end.
@@ -50,7 +50,7 @@ impl std::fmt::Debug for Reading {
 /// A topic of ours.
 #[derive(Debug)]
 pub struct Topic {
-    /// Its name.
+    /// The name.
     pub name: String,
     /// Units, among others.
     pub about: HashMap<String, String>,
@@ -60,14 +60,14 @@ pub struct Topic {
 /// A message.
 #[derive(Debug)]
 pub struct Entry {
-    /// Its topic.
+    /// The topic.
     pub topic: Rc<Topic>,
     /// When, ns of UTC.
     pub utc_ns: u64,
     message: DynamicMessage,
 }
 
-/// What is wrong with a recording.
+/// The mistake in a recording.
 #[derive(Error)]
 pub enum Wrong {
     /// The operating system refused.
@@ -76,7 +76,7 @@ pub enum Wrong {
     /// No MCAP, or of somebody else.
     #[error("not a recording of fieldbeat; name one (*.mcap)")]
     Foreign,
-    /// Its end is missing: the program was killed, or its disk was full.
+    /// The end is missing: the program was killed, or its disk was full.
     #[error("its end is missing, as of a program that was killed")]
     Cut,
     /// Changed.
@@ -85,7 +85,7 @@ pub enum Wrong {
     /// The same, but nobody knows where: its end says so.
     #[error("it is damaged ({0})")]
     Somewhere(String),
-    /// Its messages may mean something else: the version of the program that wrote it, and that of its format.
+    /// The messages may mean something else: the version of the program that wrote it, and that of its format.
     #[error(
         "it was recorded by version {0} (format {1}): read it with that one, this is {this}",
         this = env!("CARGO_PKG_VERSION")
@@ -154,7 +154,7 @@ impl Reading {
 }
 
 impl Topics {
-    /// What a record is, if it is a message of ours.
+    /// The entry of a record, if it is a message of ours.
     fn enter(&mut self, record: Record<'_>) -> Result<Option<Entry>, Wrong> {
         match record {
             Record::Schema { header, data } => self.channels.add_schema_from_slice(header, &data)?,
@@ -227,7 +227,8 @@ fn has_magic(file: &mut File) -> Result<bool, Wrong> {
     Ok(magic == *MAGIC)
 }
 
-/// What a file says of its machine, which stands at its begin. All else of it is not read, but that its end is there.
+/// The description of a file's machine, which stands at its begin. All else of it is not read, but that its end is
+/// there.
 pub fn about(path: &Path) -> Result<BTreeMap<String, String>, Wrong> {
     let mut file = open(path)?;
     file.seek(SeekFrom::End(-(MAGIC.len() as i64)))?;

@@ -20,12 +20,12 @@ pub struct RecentWire {
     /// Once the machine is built.
     log: Option<(LogReader, LinkTap, Begin)>,
     pieces: VecDeque<Piece>,
-    /// What the link thread had on connections meanwhile, and how much of it was lost.
+    /// The bytes that the link thread had on connections meanwhile, and how much of it was lost.
     link: VecDeque<LinkPassed>,
     lost: u64,
     /// The time of the newest entry.
     newest: Time,
-    /// So much of it is kept.
+    /// The length of time that is kept.
     span_ns: u64,
 }
 
@@ -44,11 +44,11 @@ pub struct WireEnd {
     pub begin: BTreeMap<String, String>,
     /// A time in its first cycles, by the clock of the loop.
     pub at: Time,
-    /// Its words, some whole cycles each.
+    /// The words, some whole cycles each.
     pub words: Vec<Arc<[u64]>>,
-    /// What the link thread had on connections meanwhile.
+    /// The bytes that the link thread had on connections meanwhile.
     pub link: Vec<LinkPassed>,
-    /// So much of that was lost in the run.
+    /// The part of that which was lost in the run.
     pub lost: u64,
     /// The first cycle that it has not, since there was no room for it between the loop and this.
     pub cut_at: Option<u64>,
@@ -138,7 +138,7 @@ mod tests {
     use fieldbeat_telemetry::log::MachineOf;
 
     #[test]
-    fn its_last_seconds_have_the_times_that_they_had() {
+    fn the_kept_seconds_have_their_original_times() {
         let (recording, reader) = log(1 << 16, &mut Regions::new());
         let (sender, from) = crossbeam_channel::bounded(1);
         let mut recent = RecentWire::new(from, S);

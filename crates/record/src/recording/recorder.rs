@@ -88,9 +88,10 @@ impl Recorder {
     }
 
     /// A recording of what is newest, in memory: as long as `window` before the end of the run, before a failure
-    /// (as of the black box: a lost drive, a fault, a stop), or before a [request](fieldbeat_telemetry::Monitor::write_black_box).
-    /// The 200 ms that follow upon a failure are kept besides. Files of failures have the cycle in their name, and
-    /// there are at most 8 of them. Each record takes 72 bytes.
+    /// (as of the black box: a lost drive, a fault, a stop), or before a
+    /// [request](fieldbeat_telemetry::Monitor::write_black_box). The 200 ms that follow upon a failure are kept
+    /// besides. Files of failures have the cycle in their name, and there are at most 8 of them. Each record takes 72
+    /// bytes.
     pub fn window(path: impl Into<PathBuf>, window: Duration) -> Result<Recorder, RecordError> {
         let path = path.into();
         // What fails at the end would be lost: this is tried now.
@@ -148,7 +149,7 @@ impl Recorder {
         self.wire
     }
 
-    /// What records the machine of `plan`, and its log as it comes from `log`.
+    /// The recorder of the machine of `plan`, and of its log as it comes from `log`.
     #[doc(hidden)]
     pub fn sink(self, plan: &Plan, log: Option<Receiver<LogBegin>>) -> Box<dyn Sink> {
         let machine = Machine::of(plan, &self.version);

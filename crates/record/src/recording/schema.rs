@@ -79,7 +79,7 @@ pub trait Fields: Default {
 pub struct Table<T> {
     name: String,
     fields: Vec<Field<T>>,
-    /// So many bytes are made ready for it; what texts take comes on top.
+    /// The number of bytes made ready for it; texts take more.
     room: usize,
     /// Of one whose fields are known to the compiler.
     encode: Option<fn(&Begun, &T, &mut Vec<u8>)>,
@@ -104,7 +104,7 @@ impl Begun {
 /// A field of a message.
 #[derive(Debug)]
 struct Field<T> {
-    /// What stands before its value, and how many bytes of that.
+    /// The bytes before its value, and their number.
     key: [u8; 4],
     key_length: usize,
     get: Get<T>,
@@ -167,7 +167,7 @@ impl<T> Visit for Listed<T> {
     }
 }
 
-/// So many bytes has a message at most whose fields are known to the compiler.
+/// The most bytes of a message whose fields are known to the compiler.
 const ROOM: usize = 256;
 
 /// Writes the bytes of such a message.
@@ -293,7 +293,7 @@ impl<T> Table<T> {
         Table { encode: Some(encode), ..table }
     }
 
-    /// Its name with the package.
+    /// The name with the package.
     pub fn full_name(&self) -> String {
         format!("{PACKAGE}.{}", self.name)
     }
@@ -348,7 +348,7 @@ impl<T> Table<T> {
         out.truncate(at);
     }
 
-    /// What stands in the file: a `FileDescriptorSet` of this message.
+    /// The description in the file: a `FileDescriptorSet` of this message.
     pub fn descriptor(&self) -> Vec<u8> {
         let mut names_of: Vec<DescriptorProto> = Vec::new();
         let mut fields = Vec::new();

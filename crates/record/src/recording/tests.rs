@@ -71,7 +71,7 @@ fn cycle(index: u64) -> Record {
     })
 }
 
-/// So many cycles of two axes; a command of the first one begins in cycle 2 and fails in cycle 4.
+/// Records of `cycles` cycles of two axes; a command of the first one begins in cycle 2 and fails in cycle 4.
 fn records(cycles: u64) -> Vec<Record> {
     let id = CommandId(3);
     let profile = Profile { velocity: 10.0, acceleration: 20.0, deceleration: 30.0 };
@@ -380,7 +380,7 @@ fn topics_of_axes_with_unlucky_names_have_tables_of_their_own() {
 }
 
 #[test]
-fn what_was_on_its_way_to_a_full_disk_is_lost() {
+fn bytes_written_to_a_full_disk_are_lost() {
     for cycles in [5, 1_500] {
         let file = OpenOptions::new().write(true).open("/dev/full").unwrap();
         // Were it removed, nothing would be.
@@ -452,7 +452,7 @@ fn native_machine() -> Machine {
     machine
 }
 
-/// So many bytes of inputs, and of outputs, in a cycle, in as many parts as they take.
+/// Records of so many bytes of inputs, and of outputs, in a cycle, in as many parts as they take.
 fn native(index: u64, inputs: u16, outputs: u16) -> Vec<Record> {
     let total = inputs + outputs;
     let all: Vec<u8> = (1..=total).map(|byte| byte as u8).collect();

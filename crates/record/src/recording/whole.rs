@@ -27,11 +27,11 @@ pub struct Whole {
     unsure: u64,
     /// Those that are not in the file: they were on the way when it failed, or came after that.
     late: u64,
-    /// What was not returned yet.
+    /// The failure that was not returned yet.
     failure: Option<String>,
 }
 
-/// What it needs to begin.
+/// The requirements to begin.
 #[derive(Debug)]
 struct Begin {
     /// Removed again if the run does not start.

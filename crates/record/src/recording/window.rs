@@ -23,7 +23,7 @@ pub struct Window {
     path: PathBuf,
     newest: Newest,
     records: VecDeque<Record>,
-    /// Its length.
+    /// The length.
     cycles: u64,
     judged: VecDeque<Judged>,
     utc_ns: i64,
@@ -32,7 +32,7 @@ pub struct Window {
     lost: u64,
     gaps: VecDeque<(u64, u64)>,
     written: Vec<Recorded>,
-    /// What was not returned yet.
+    /// The failure that was not returned yet.
     failure: Option<String>,
 }
 

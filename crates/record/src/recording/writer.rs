@@ -36,7 +36,7 @@ pub struct Topic<T> {
     table: Arc<Table<T>>,
 }
 
-/// What writes the records of one machine.
+/// The writer of the records of one machine.
 pub struct Writer<W: Write> {
     out: Container<W>,
     machine: Machine,
@@ -52,7 +52,7 @@ pub struct Writer<W: Write> {
     /// The log of the loop, if it is recorded, too.
     wire: Option<Wire>,
     every: Table<At<()>>,
-    /// What the messages of a cycle begin with, and which cycle and instant that is.
+    /// The begin of the messages of a cycle, and which cycle and instant that is.
     begun: Begun,
     begun_of: (u64, Time),
     /// Those of a cycle whose own record is still to come.
@@ -64,7 +64,7 @@ pub struct Writer<W: Write> {
     /// When the newest chunk was begun.
     chunk: Option<Time>,
     written: Written,
-    /// So much of it is out, in chunks that were ended in time.
+    /// The part that is written, in chunks that were ended in time.
     flushed: Written,
 }
 

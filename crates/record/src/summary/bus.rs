@@ -11,7 +11,7 @@ use fieldbeat_core::time::{Ns, three_digits};
 /// One bus.
 #[derive(Clone, Debug, Serialize)]
 pub struct Bus {
-    /// Its name.
+    /// The name.
     pub name: String,
     /// Datagrams from unknown senders: addresses that are no drive's.
     pub unmatched: u64,
@@ -22,7 +22,7 @@ pub struct Bus {
     /// The bus load, percent: the time that the telegrams of its drives took there, of all slots so far; null:
     /// it is no half-duplex wire, or no slot has passed.
     pub load_percent: Option<f64>,
-    /// Its clock and the grid; null: it has no clock.
+    /// The clock and the grid; null: it has no clock.
     pub clock: Option<ClockNumbers>,
 }
 

@@ -66,7 +66,7 @@ impl fmt::Display for Share {
     }
 }
 
-/// What a run counted and measured of the loop.
+/// The counts and measurements of the loop in a run.
 #[derive(Debug)]
 pub(super) struct Course<'a> {
     pub planned: u64,
@@ -136,7 +136,7 @@ impl Carried {
         Carried::of(cycle, &course)
     }
 
-    /// What is not carried, as an error that says what to do.
+    /// The part that is not carried, as an error that says what to do.
     pub fn failure(&self) -> Option<String> {
         let keys: Vec<String> = self.exceeded().map(|share| format!("max_{}_share", share.what)).collect();
         let period =

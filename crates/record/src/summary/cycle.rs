@@ -91,7 +91,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_leads_the_grid_is_one_line() {
+    fn the_grid_reference_is_one_line() {
         let mut reference = ReferenceNumbers {
             bus: "line".into(),
             locked: true,

@@ -13,9 +13,9 @@ use fieldbeat_telemetry::histograms::Quantiles;
 /// One drive.
 #[derive(Clone, Debug, Serialize)]
 pub struct Drive {
-    /// Its name.
+    /// The name.
     pub name: String,
-    /// Its protocol.
+    /// The protocol.
     pub protocol: &'static str,
     /// Link at the end.
     pub link: String,
@@ -53,7 +53,7 @@ pub struct Drive {
     pub age_ns: Quantiles,
     /// Cycles since the last values at the end.
     pub age_cycles: u32,
-    /// What only its protocol counts, by its key; empty if that counts nothing of its own.
+    /// The counts that only its protocol has, by their keys; empty if it has none.
     pub protocol_counters: ProtocolCounters,
     /// Actual position at the end, user units; null if the drive reports none, or was never seen.
     pub position: Option<f64>,
@@ -65,12 +65,12 @@ pub struct Drive {
     pub begun_by: Option<BegunBy>,
     /// Fault code, null = none.
     pub fault: Option<u32>,
-    /// What its protocol calls that; null if it has no name for it.
+    /// The protocol's name of that; null if it has none.
     pub fault_name: Option<&'static str>,
     /// Why it stands stopped is no failure: it was found running, or a drive of its stop group was.
     #[serde(skip)]
     pub(super) found_running: bool,
-    /// Its monitored variables, as planned.
+    /// The monitored variables, as planned.
     pub monitor: Vec<Variable>,
     /// How it was left at the end; null while the run goes on, and of a drive that has never reported its state and of
     /// which nothing was requested.
@@ -83,7 +83,7 @@ pub struct Drive {
 /// The axis that began the stop of a stop group.
 #[derive(Clone, Debug, Serialize)]
 pub struct BegunBy {
-    /// Its name.
+    /// The name.
     pub axis: String,
     /// Why it was stopped.
     pub cause: String,
@@ -92,7 +92,7 @@ pub struct BegunBy {
 /// A monitored variable of a drive: not part of its process data. Its numbers are exact, and null until it was seen.
 #[derive(Clone, Debug, Serialize)]
 pub struct Variable {
-    /// Its name.
+    /// The name.
     pub name: String,
     /// Of its values; empty for a plain number.
     pub unit: &'static str,
@@ -149,7 +149,7 @@ impl Drive {
         Some(format!("drive {} {left}", self.name))
     }
 
-    /// What is wrong with it, a line each.
+    /// The mistakes of the drive, a line each.
     pub(super) fn notes(&self) -> Vec<String> {
         let mut notes = Vec::new();
         if let Some(code) = self.fault {

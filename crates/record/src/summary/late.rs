@@ -53,7 +53,7 @@ pub struct Found {
 }
 
 impl Found {
-    /// What a tally found.
+    /// The findings of a tally.
     #[doc(hidden)]
     pub fn of(tally: &Tally, plan: &Plan) -> Found {
         let Tally { cause, count, worst_ns, worst_cycle } = *tally;

@@ -75,11 +75,11 @@ pub struct Summary {
     pub realtime: RealtimeNumbers,
     /// The machine.
     pub host: Host,
-    /// What the black box wrote.
+    /// The files of the black box.
     pub black_boxes: Vec<Written>,
-    /// What was recorded.
+    /// The recordings.
     pub recordings: Vec<Recorded>,
-    /// What failed of the program itself, and at the end each drive that is not known to be off.
+    /// The failures of the program itself, and at the end each drive that is not known to be off.
     pub failures: Vec<Failure>,
     /// The histogram of the wake-ups, drawn by the text form only.
     #[serde(skip)]
@@ -89,7 +89,7 @@ pub struct Summary {
     units: Vec<Units>,
 }
 
-/// So many late cycles are listed one by one.
+/// The number of late cycles that are listed one by one.
 const NEWEST: usize = 20;
 
 /// How real-time the run was.
@@ -97,9 +97,9 @@ const NEWEST: usize = 20;
 pub struct RealtimeNumbers {
     /// Scheduling policy of the loop.
     pub policy: &'static str,
-    /// Its priority.
+    /// The priority.
     pub priority: u8,
-    /// Its core.
+    /// The core.
     pub core: Option<usize>,
     /// Memory was locked.
     pub memory_locked: bool,
@@ -111,14 +111,14 @@ pub struct RealtimeNumbers {
     pub telemetry_lost: u64,
     /// Events and samples for which the application's queues had no room.
     pub events_lost: u64,
-    /// What the operating system did not grant, one line each, with its remedy.
+    /// The requests that the operating system did not grant, one line each, with its remedy.
     pub missing: Vec<String>,
 }
 
 /// The machine.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Host {
-    /// Its name.
+    /// The name.
     pub name: Option<String>,
     /// Kernel release.
     pub kernel: Option<String>,

@@ -13,13 +13,13 @@ use fieldbeat_core::cycle::record::Record;
 /// A drive from cycle to cycle.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Course {
-    /// Its name.
+    /// The name.
     pub name: String,
-    /// Its user unit.
+    /// The user unit.
     pub unit: String,
-    /// Its monitored variables.
+    /// The monitored variables.
     pub monitor: Vec<Channel>,
-    /// Its cycles.
+    /// The cycles.
     pub rows: Vec<Row>,
 }
 
@@ -28,7 +28,7 @@ pub struct Course {
 pub struct Row {
     /// Which.
     pub cycle: u64,
-    /// What became of its exchange.
+    /// The fate of its exchange.
     pub reply: String,
     /// The round trip.
     pub rtt_ns: Option<NonZeroU32>,
@@ -44,7 +44,7 @@ pub struct Row {
     pub velocity: Option<f32>,
     /// Motor current, A.
     pub current: Option<f32>,
-    /// Its monitored variables, in the order of [`Course::monitor`]; `None` = nothing in this cycle.
+    /// The monitored variables, in the order of [`Course::monitor`]; `None` = nothing in this cycle.
     pub monitor: Vec<Option<f64>>,
 }
 

@@ -26,7 +26,7 @@ pub struct Event {
     pub at_s: f64,
     /// The drive; `None` = the loop.
     pub drive: Option<String>,
-    /// What, in words; of what happened several times, the first one.
+    /// The event in words; of one that happened several times, the first one.
     pub what: String,
     /// How often.
     pub times: u64,
@@ -36,7 +36,7 @@ pub struct Event {
     pub worst_ns: Option<u64>,
 }
 
-/// What a record adds.
+/// The news of a record.
 struct News {
     what: String,
     /// A disturbance: its kind, and how long it was, ns. `None` = a change of state.
@@ -151,7 +151,7 @@ fn late(header: &Header, cycle: &CycleRecord) -> Option<News> {
     Some(News::disturbance(kind, Some(ns), what))
 }
 
-/// What is new with the clock that leads the grid.
+/// The news of the clock that leads the grid.
 fn steered(header: &Header, before: Option<&ReferenceRecord>, now: &ReferenceRecord) -> Option<News> {
     let name = header.reference.as_deref().unwrap_or("its reference");
     let was = before.is_some_and(|before| before.locked);

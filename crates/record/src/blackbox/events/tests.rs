@@ -44,7 +44,7 @@ fn machine() -> (Header, Vec<Record>) {
 }
 
 #[test]
-fn what_leads_the_grid_is_reported_when_it_changes_and_its_silence_once() {
+fn the_grid_reference_is_reported_on_change_and_its_silence_once() {
     let (mut header, _) = machine();
     header.reference = Some("line".into());
     let mut records = Vec::new();
@@ -140,7 +140,7 @@ fn repetitions_are_one_line_with_their_number_their_end_and_the_worst_of_them() 
 }
 
 #[test]
-fn what_a_drive_does_not_tell_is_a_dash_and_null() {
+fn unreported_values_are_a_dash_in_text_and_null_in_json() {
     let (header, mut records) = machine();
     for record in &mut records {
         let Record::Drive(drive) = record else { continue };
