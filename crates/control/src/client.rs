@@ -47,7 +47,7 @@ pub enum AskError {
     Io {
         /// The socket.
         path: PathBuf,
-        /// What the operating system said.
+        /// The error of the operating system.
         error: io::Error,
     },
     /// It broke off before: an answer that is still on its way would be taken for that to another question.
@@ -62,8 +62,8 @@ pub enum AskError {
 }
 fieldbeat_core::debug_as_display!(AskError);
 
-/// Asks the master at `path` one question. It is this user's, root's, or that of whoever owns the directory. Its answer
-/// may be shown on a terminal as it is: no text in it has control characters but the end of a line.
+/// Sends one question to the master at `path`. It is this user's, root's, or that of whoever owns the directory. Its
+/// answer may be shown on a terminal as it is: no text in it has control characters but the end of a line.
 pub fn ask(path: &Path, question: &Value) -> Result<Value, AskError> {
     Conversation::open(path)?.ask(question, PATIENCE)
 }
@@ -95,7 +95,7 @@ impl Conversation {
         Ok(Conversation { path: own(), stream: Mutex::new(Some(stream)) })
     }
 
-    /// Asks; the answer may take `patience`. A question that fails ends the conversation.
+    /// Sends a question; the answer may take `patience`. A question that fails ends the conversation.
     pub fn ask(&self, question: &Value, patience: Duration) -> Result<Value, AskError> {
         let mut held = self.stream.lock().unwrap_or_else(PoisonError::into_inner);
         let stream = held.take().ok_or_else(|| AskError::Broken(self.path.clone()))?;
@@ -104,7 +104,7 @@ impl Conversation {
         Ok(answer)
     }
 
-    /// Asks for what is no answer in a line, and leaves the connection to whoever reads it.
+    /// Sends a question whose answer is no line, and gives the connection to its reader.
     pub(super) fn into_stream(self, question: &Value) -> Result<UnixStream, AskError> {
         let held = self.stream.into_inner().unwrap_or_else(PoisonError::into_inner);
         let stream = held.ok_or_else(|| AskError::Broken(self.path.clone()))?;
@@ -205,7 +205,7 @@ mod tests {
 
     #[test]
     #[ignore = "needs root: listens as another user"]
-    fn whoever_listens_in_the_directory_of_somebody_else_is_not_asked() {
+    fn a_listener_in_the_directory_of_another_user_gets_no_request() {
         let nobody = 65534;
         let (directory, path) = socket();
         fs::set_permissions(&directory, Permissions::from_mode(0o777)).unwrap();

@@ -113,7 +113,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn whoever_did_not_run_takes_what_was_answered_meanwhile_and_whoever_trickles_gains_nothing() {
+    fn a_delayed_reader_takes_answers_of_meanwhile_and_a_trickling_sender_gains_no_time() {
         let patience = Duration::from_millis(200);
         let (ours, mut other) = UnixStream::pair().unwrap();
         other.write_all(b"an answer\n").unwrap();

@@ -21,13 +21,13 @@ const MOST_CALLS: usize = 64;
 /// One drive of a master in another process. The conversation ends with this and all guards of what it has claimed.
 #[derive(Debug)]
 pub struct Remote {
-    asking: Arc<Asking>,
+    questions: Arc<Questions>,
     capacity: usize,
 }
 
 /// A conversation about one drive.
 #[derive(Debug)]
-struct Asking {
+struct Questions {
     path: PathBuf,
     conversation: Conversation,
     drive: String,
@@ -40,12 +40,12 @@ impl Remote {
         let answer = conversation.ask(&json!({ "ask": "drive", "drive": drive }), MARGIN)?;
         let capacity = answer["capacity"].as_u64().and_then(|capacity| usize::try_from(capacity).ok());
         let capacity = capacity.ok_or_else(|| AskError::Foreign(path.to_owned()))?.clamp(1, MOST_CALLS);
-        let asking = Asking { path: path.to_owned(), conversation, drive: drive.to_owned() };
-        Ok(Remote { asking: Arc::new(asking), capacity })
+        let questions = Questions { path: path.to_owned(), conversation, drive: drive.to_owned() };
+        Ok(Remote { questions: Arc::new(questions), capacity })
     }
 }
 
-impl Asking {
+impl Questions {
     fn ask(&self, what: &str, more: Value, patience: Duration) -> Result<Value, CallError> {
         let mut question = json!({ "ask": what, "drive": self.drive });
         if let (Value::Object(question), Value::Object(more)) = (&mut question, more) {
@@ -71,7 +71,7 @@ impl Carrier for Remote {
             // In a long cycle a call may take longer than its limit; the master keeps the time.
             let patience = limit.saturating_mul(calls.len() as u32).saturating_add(MARGIN);
             let request = json!({ "calls": calls, "limit_ms": limit_ms });
-            let answer = self.asking.ask("calls", request, patience);
+            let answer = self.questions.ask("calls", request, patience);
             let series: Series = match answer.and_then(|answer| read(&answer).ok_or(CallError::Lost)) {
                 Ok(series) => series,
                 Err(why) => return Series { failed: Some(why), ..all },
@@ -85,14 +85,14 @@ impl Carrier for Remote {
     }
 
     fn condition(&self) -> Result<Condition, CallError> {
-        let answer = self.asking.ask("condition", Value::Null, MARGIN)?;
+        let answer = self.questions.ask("condition", Value::Null, MARGIN)?;
         read(&answer["condition"]).ok_or_else(|| read(&answer["failed"]).unwrap_or(CallError::Lost))
     }
 
     fn claim(&self) -> Result<Box<dyn Any + Send>, CallError> {
-        let answer = self.asking.ask("claim", Value::Null, MARGIN)?;
+        let answer = self.questions.ask("claim", Value::Null, MARGIN)?;
         match answer["claimed"].as_bool() {
-            Some(true) => Ok(Box::new(Claim(Arc::clone(&self.asking)))),
+            Some(true) => Ok(Box::new(Claim(Arc::clone(&self.questions)))),
             _ => Err(read(&answer["failed"]).unwrap_or(CallError::Lost)),
         }
     }
@@ -106,13 +106,13 @@ impl Carrier for Remote {
     }
 
     fn bequeath(&self, calls: &[Call]) -> Result<(), CallError> {
-        self.asking.ask("bequeath", json!({ "calls": calls }), MARGIN).map(drop)
+        self.questions.ask("bequeath", json!({ "calls": calls }), MARGIN).map(drop)
     }
 }
 
-/// What a drive has only one of, held until this is dropped, or the conversation ends.
+/// The exclusive part of a drive, held until this is dropped, or the conversation ends.
 #[derive(Debug)]
-struct Claim(Arc<Asking>);
+struct Claim(Arc<Questions>);
 
 impl Drop for Claim {
     fn drop(&mut self) {
@@ -244,8 +244,8 @@ mod tests {
         // Somebody dies with a claim: their conversation ends, and nobody says a word.
         let dead = master.remote();
         std::mem::forget(dead.claim().unwrap());
-        let asking = &dead.asking.conversation;
-        assert!(asking.ask(&json!({ "ask": "nonsense" }), LIMIT).is_err());
+        let questions = &dead.questions.conversation;
+        assert!(questions.ask(&json!({ "ask": "nonsense" }), LIMIT).is_err());
         // The master's side of it ends on its own time.
         while master.acyclic.claim().is_err() {
             sleep(Duration::from_millis(1));
@@ -253,7 +253,7 @@ mod tests {
     }
 
     #[test]
-    fn whoever_goes_away_leaves_no_call_behind_but_what_was_bequeathed() {
+    fn a_client_that_disconnects_leaves_only_bequeathed_calls() {
         let master = Master::start(8);
         let remote = master.remote();
         remote.bequeath(&[call(1)]).unwrap();
@@ -262,7 +262,7 @@ mod tests {
             "ask": "calls", "drive": "x", "calls": [call(SILENT), call(2)], "limit_ms": 600_000,
         });
         // Long enough for a busy host to take up the first call.
-        let late = remote.asking.conversation.ask(&question, Duration::from_secs(1));
+        let late = remote.questions.conversation.ask(&question, Duration::from_secs(1));
         assert!(late.is_err());
         // The second one of the series is never taken up.
         assert_eq!([master.takes(), master.takes(), master.takes()], [SILENT, 5, 6]);
@@ -304,17 +304,17 @@ mod tests {
     }
 
     #[test]
-    fn the_end_of_the_master_waits_for_nobody() {
+    fn the_end_of_the_master_waits_for_no_client() {
         let mut master = Master::start(8);
         let remote = master.remote();
         remote.bequeath(&[call(SILENT)]).unwrap();
-        let asking = std::thread::spawn(move || {
+        let client = std::thread::spawn(move || {
             let series = remote.run(&[call(SILENT)], Duration::from_secs(600));
             (series.failed, remote)
         });
         assert_eq!(master.takes(), SILENT);
         drop(master.server.take());
-        let (failed, remote) = asking.join().unwrap();
+        let (failed, remote) = client.join().unwrap();
         // The conversation ends a little before the socket.
         assert!(matches!(failed, Some(CallError::Lost | CallError::Gone)), "{failed:?}");
         assert_eq!(remote.condition(), Err(CallError::Gone));

@@ -81,7 +81,7 @@ pub enum ServeError {
     Io {
         /// The socket.
         path: PathBuf,
-        /// What the operating system said.
+        /// The error of the operating system.
         error: io::Error,
     },
 }
@@ -109,11 +109,11 @@ struct Conversation {
     /// Since when it waits for the next question, or to be allowed to begin, ms from its begin; 0: an answer is under
     /// way.
     silent_since: AtomicU64,
-    /// Its last question was an operator's, or a stop: it makes room after all others, and only for such a question.
+    /// The last question was an operator's, or a stop: it makes room after all others, and only for such a question.
     operates: AtomicBool,
     /// It has to make room.
     dismissed: AtomicBool,
-    /// Its client is gone.
+    /// The client is gone.
     left: AtomicBool,
     ended: AtomicBool,
 }
@@ -321,7 +321,7 @@ pub enum Urgency {
     Slow,
 }
 
-/// What answers the questions of one conversation.
+/// The source of answers to the questions of one conversation.
 pub trait Answering {
     /// How soon `question` is to be answered.
     fn urgency(question: &Value) -> Urgency
@@ -520,7 +520,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn whoever_asks_byte_by_byte_is_broken_off_and_holds_up_neither_the_next_one_nor_the_end() {
+    fn a_client_that_sends_byte_by_byte_is_disconnected_and_delays_neither_others_nor_the_end() {
         let (_directory, path) = socket();
         let server = Server::start(&path, || {}, || echo).unwrap();
         let slow = || UnixStream::connect(&path).unwrap();
@@ -534,17 +534,17 @@ pub(crate) mod tests {
         let first = slow();
         assert!(ask(&path, &json!({ "ask": "echo" })).is_ok());
         assert!(!goes_on(first), "never broken off");
-        // One that asks on and on when the server ends: between two questions it would wait for 10 s.
-        let asking = Conversation::open(&path).unwrap();
+        // One that sends questions when the server ends: between two questions it would wait for 10 s.
+        let busy = Conversation::open(&path).unwrap();
         let question = json!({ "ask": "echo" });
-        assert!(asking.ask(&question, LONG).is_ok());
+        assert!(busy.ask(&question, LONG).is_ok());
         std::thread::scope(|scope| {
             scope.spawn(|| drop(server));
             let goes_on = (0..2_400).all(|_| {
                 std::thread::sleep(LOOK_EVERY);
-                asking.ask(&question, LONG).is_ok()
+                busy.ask(&question, LONG).is_ok()
             });
-            assert!(!goes_on, "the end waits for who asks on");
+            assert!(!goes_on, "the end waits for a busy client");
         });
     }
 
@@ -671,8 +671,8 @@ pub(crate) mod tests {
         let listener = UnixListener::bind(&path).unwrap();
         listener.set_nonblocking(true).unwrap();
         let mut sent = Vec::new();
-        let asks = ["slow", "status", "operate", "stop"];
-        for what in asks.iter().cycle().take(4 * MOST_WAITING) {
+        let questions = ["slow", "status", "operate", "stop"];
+        for what in questions.iter().cycle().take(4 * MOST_WAITING) {
             sent.push(post(&path, &json!({ "ask": what })));
             let accept = || listener.accept().map(|(stream, _)| stream);
             let arrived = clients.turn(listener.as_fd(), LONG, accept, |said| said.ends_with(b"\n"));
@@ -732,7 +732,7 @@ pub(crate) mod tests {
         }
     }
 
-    /// Its conversation would end at any of the requests that find no place, and its axes would stop.
+    /// The conversation would end at any of the requests that find no place, and its axes would stop.
     #[test]
     fn no_request_that_only_looks_or_is_slow_ends_an_operator() {
         let (_directory, path) = socket();

@@ -16,15 +16,15 @@ const LOOK_EVERY: Duration = Duration::from_millis(1);
 /// The longest that one call may be given.
 const LONGEST: Duration = Duration::from_secs(600);
 
-/// What each call of a legacy gets, and for how long it is tried: a drive that saves to flash was met to be silent for
-/// 75 s and more (C1250), and is given four times that.
+/// The time limit of each call of a legacy, and for how long it is tried: a drive that saves to flash was met to be
+/// silent for 75 s and more (C1250), and is given four times that.
 const LEGACY_LIMIT: Duration = Duration::from_secs(20);
 const LEGACY_PATIENCE: Duration = Duration::from_secs(300);
 
 /// Legacies of one master that are left or carried out, at most: clients that come and go leave no more work than that.
 const MOST_LEGACIES: usize = 32;
 
-/// What to do where there are as many.
+/// The remedy where there are as many.
 const TOO_MANY_LEGACIES: &str =
     "what others have left to be done is still under way: check the links of the drives, and try again";
 
@@ -61,7 +61,7 @@ pub struct Session {
 struct Held {
     acyclic: Acyclic,
     claim: Option<Box<dyn Any + Send>>,
-    /// What is carried out should the conversation end before it is taken back.
+    /// The calls to carry out should the conversation end before they are taken back.
     legacy: Option<(Counted, Vec<Call>)>,
 }
 

@@ -52,7 +52,7 @@ const BEFORE: usize = 5;
 /// A master that lives answers sooner.
 const PATIENCE: Duration = Duration::from_secs(5);
 
-/// What the records are of.
+/// The description of the records.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct About {
     /// The process.
@@ -65,7 +65,7 @@ pub struct About {
     pub header: Header,
 }
 
-/// What is known besides the records.
+/// The news besides the records.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct News {
     /// Records that this watcher has lost so far, since it read too slowly.
@@ -76,7 +76,7 @@ pub struct News {
     pub late_count: u64,
     /// Faults that occur in the records from here on: the axis, the code, and its name.
     pub faults: Vec<(usize, u32, String)>,
-    /// What happened to the axes, up to the records that come next.
+    /// The events of the axes, up to the records that come next.
     pub events: Vec<Happened>,
     /// Late cycles whose cause was found.
     pub late: Vec<Late>,
@@ -89,7 +89,7 @@ pub struct Happened {
     pub cycle: u64,
     /// The axis, in the order of the plan.
     pub axis: usize,
-    /// What, in words.
+    /// The event in words.
     pub text: String,
     /// A fault, or a stop of the master.
     pub fault: bool,
@@ -102,7 +102,7 @@ pub struct Late {
     pub cycle: u64,
     /// How long its delay was, ns; 0 for a drive.
     pub delay_ns: u64,
-    /// Its cause, in words.
+    /// The cause, in words.
     pub cause: String,
 }
 
@@ -110,7 +110,7 @@ pub struct Late {
 #[derive(Debug)]
 pub struct Watch {
     monitor: Monitor,
-    /// The same in each conversation: it tells one master from the next.
+    /// The same in each conversation: it distinguishes one master from the next.
     epoch_ns: u64,
     watchers: Arc<AtomicUsize>,
     seat: Option<Seat>,
@@ -162,10 +162,10 @@ impl Watch {
         Ok(About { pid: std::process::id(), layout: LAYOUT, epoch_ns: self.epoch_ns, header })
     }
 
-    /// The stream that `records` begins; `None`: that is not asked, or nothing was announced.
+    /// The stream that `records` begins; `None`: the question is another one, or nothing was announced.
     pub fn stream(&mut self, question: &Value, send: &mut Sender<'_>) -> Option<io::Result<()>> {
-        let asked = question["ask"] == "records";
-        self.seat.take().filter(|_| asked).map(|seat| Stream::new(&self.monitor, seat).run(send))
+        let is_records = question["ask"] == "records";
+        self.seat.take().filter(|_| is_records).map(|seat| Stream::new(&self.monitor, seat).run(send))
     }
 
     /// The same without a socket file, for a display in the master's own process.
@@ -256,7 +256,7 @@ impl Stream<'_> {
         faults
     }
 
-    /// What happened, in words: the codes of faults mean something here only.
+    /// The events in words: the codes of faults mean something here only.
     fn events(&self, records: &[Record]) -> Vec<Happened> {
         let happened = records.iter().filter_map(|record| match record {
             Record::Command(begun) if begun.step() == CommandStep::Begun => {
@@ -300,7 +300,7 @@ impl Stream<'_> {
 pub enum Part {
     /// Records, in their order.
     Records(Vec<Record>),
-    /// What is known besides them.
+    /// The news besides them.
     News(News),
 }
 
@@ -419,7 +419,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_stream_of_this_version_says_so() {
+    fn a_stream_of_another_version_is_reported() {
         let of_third_axis = Record::Drive(DriveRecord { axis: 2, ..DriveRecord::default() });
         for bytes in [
             frame(b'x', b""),

@@ -28,7 +28,7 @@ impl Operated {
         Operated { axis, facts, open: Vec::new(), stopping: None, then_off: false }
     }
 
-    /// What it is.
+    /// The facts of the axis.
     pub fn facts(&self) -> &AxisFacts {
         &self.facts
     }

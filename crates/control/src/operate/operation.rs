@@ -28,7 +28,7 @@ pub const HOLD_LIMIT: u64 = 200 * MS;
 /// An operator from whom no request came for so long has left, ns.
 pub const OPERATOR_LIMIT: u64 = 1_000 * MS;
 
-/// Notices that are kept for whoever asks for them.
+/// The most notices that are kept for later requests.
 const MOST_NOTICES: usize = 256;
 
 /// Characters of the name of an operator.
@@ -82,7 +82,7 @@ impl Operation {
         self.operator.is_some() || self.axes.iter().any(Operated::is_under_way)
     }
 
-    /// What session `session` requests, which names this beat. Returns the next beat, and the answer.
+    /// Carries out a request of session `session`, which names this beat. Returns the next beat, and the answer.
     pub fn request(
         &mut self,
         now: Time,

@@ -63,7 +63,7 @@ impl Operator {
         self.ask(Request::Take { name: name.to_owned() }).map(drop)
     }
 
-    /// What the axes are.
+    /// The facts of the axes.
     pub fn axes(&mut self) -> Result<Vec<AxisFacts>, OperateError> {
         match self.ask(Request::Axes)? {
             Reply::Axes(axes) => Ok(axes),

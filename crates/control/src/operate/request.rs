@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Request {
-    /// What the axes are. For everybody, like the next one.
+    /// The facts of the axes. For everybody, like the next one.
     Axes,
     /// How the axes are, and the notices after this number.
     State {
@@ -26,11 +26,11 @@ pub enum Request {
     Check(Act),
     /// Operate no more, and leave the axes as they are, powered ones too. Refused while anything is under way.
     Leave,
-    /// What only the operator may request.
+    /// A request for the operator only.
     Act(Act),
 }
 
-/// What only the operator may request.
+/// The requests for the operator only.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Act {
@@ -60,7 +60,7 @@ pub enum Act {
     },
 }
 
-/// What an operator commands an axis to do.
+/// The commands of an operator to an axis.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Order {
@@ -72,7 +72,7 @@ pub enum Order {
     Home,
     /// A move.
     Move {
-        /// Its target.
+        /// The target.
         target: Goal,
         /// User units/s; `None`: that of its profile.
         #[serde(default)]
@@ -121,14 +121,14 @@ pub enum Reply {
     Done,
 }
 
-/// What an axis is.
+/// The facts of an axis.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct AxisFacts {
-    /// Its name.
+    /// The name.
     pub name: String,
     /// The protocol of its drive.
     pub protocol: String,
-    /// Its user unit.
+    /// The user unit.
     pub unit: String,
     /// Smallest and largest position.
     pub position_limits: Option<(f64, f64)>,
@@ -138,7 +138,7 @@ pub struct AxisFacts {
     pub velocity: f64,
     /// Power stays on after a stop.
     pub holds: bool,
-    /// What it does not do.
+    /// The capabilities that it lacks.
     pub lacks: AxisLacks,
     /// Name and unit of the variables that its drive reports in addition.
     pub monitors: Vec<(String, String)>,
@@ -166,7 +166,7 @@ pub struct OperationState {
     pub operator: Option<String>,
     /// Number and axis of the jog that runs.
     pub jog: Option<(u64, usize)>,
-    /// What happened, oldest first.
+    /// The notices, oldest first.
     pub notices: Vec<Notice>,
 }
 
@@ -183,7 +183,7 @@ pub struct AxisState {
     pub not_connected: Option<String>,
     /// The state of the power drive system.
     pub state: String,
-    /// Its power stage may be on.
+    /// The power stage may be on.
     pub powered: bool,
     /// Ready for motion.
     pub operational: bool,
@@ -224,7 +224,7 @@ pub struct Notice {
     pub number: u64,
     /// The index of its axis.
     pub axis: Option<usize>,
-    /// What, in words.
+    /// The notice in words.
     pub text: String,
     /// The end of a command.
     pub end: Option<CommandEnd>,
@@ -233,7 +233,7 @@ pub struct Notice {
 /// The end of a command.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct CommandEnd {
-    /// Its id.
+    /// The id.
     pub command: u64,
     /// How it ended.
     pub how: Ended,

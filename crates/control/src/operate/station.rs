@@ -23,7 +23,7 @@ use fieldbeat_telemetry::Monitor;
 const LOOK_EVERY: Duration = Duration::from_millis(5);
 const LOOK_IDLE_EVERY: Duration = Duration::from_millis(50);
 
-/// What to do where a master has no station.
+/// The remedy where a master has no station.
 const NOT_ALLOWED: &str =
     "this master does not let others operate its axes: start it with `fieldbeat run CONFIG --allow-control`";
 
@@ -92,7 +92,7 @@ impl Station {
     }
 }
 
-/// What one client may request of a station. When it is dropped, the client has left.
+/// The requests of one client to a station. When it is dropped, the client has left.
 #[derive(Debug)]
 pub struct OperatorSession {
     station: Station,

@@ -441,7 +441,7 @@ fn an_axis_that_holds_after_a_stop_holds_when_its_operator_has_left() {
 }
 
 #[test]
-fn who_leaves_while_nothing_is_under_way_leaves_power_as_it_is_and_the_next_one_takes_it_over() {
+fn an_idle_operator_that_leaves_keeps_power_on_and_the_next_one_takes_over() {
     for sample in ["linmot", "moons", "kollmorgen"] {
         let mut bench = Bench::of(sample, |_| {}).ready();
         bench.must(Request::Leave);
@@ -463,7 +463,7 @@ fn who_leaves_while_nothing_is_under_way_leaves_power_as_it_is_and_the_next_one_
 }
 
 #[test]
-fn nobody_leaves_what_has_not_ended() {
+fn an_operator_stays_until_its_commands_have_ended() {
     for jogs in [true, false] {
         let mut bench = Bench::linmot().ready();
         if jogs {
@@ -514,7 +514,7 @@ fn anybody_may_stop_one_axis_and_the_others_go_on() {
 }
 
 #[test]
-fn what_an_axis_does_not_do_is_known_before_it_is_commanded() {
+fn missing_capabilities_are_listed_before_any_command() {
     let mut bench = Bench::linmot();
     let request =
         |bench: &mut Bench, act| bench.operation.request(bench.now(), WATCHER, 0, &Request::Check(act)).1;
@@ -531,7 +531,7 @@ fn what_an_axis_does_not_do_is_known_before_it_is_commanded() {
     let mut other = Bench::of("unidrive", |_| {});
     let refused = check(&mut other, 0, to(1.0)).unwrap_err();
     assert!(refused.contains("this drive cannot do that"), "{refused}");
-    assert_eq!(bench.state().operator, None, "whoever asks operates nothing");
+    assert_eq!(bench.state().operator, None, "a client that only reads operates nothing");
 }
 
 #[test]
@@ -574,7 +574,7 @@ fn an_axis_without_a_dead_man_does_not_jog() {
 /// Operators at random, who pause, request nonsense, repeat themselves and come back: nothing moves longer after the
 /// last sign of life than the limits and the ramp allow, and nothing stays powered.
 #[test]
-fn whatever_operators_do_nothing_moves_without_one() {
+fn random_operators_and_no_motion_without_an_operator() {
     let mut moved = 0;
     for (seed, sample) in (1..=6).zip(["linmot", "unidrive", "kollmorgen"].into_iter().cycle()) {
         let mut rng = fastrand::Rng::with_seed(seed);
