@@ -39,7 +39,7 @@ pub struct Assembly<C> {
     pub devices: Devices,
     /// Acyclic access to the drives, followed by the devices that have it, for users other than the application.
     pub acyclics: Vec<Acyclic>,
-    /// What the loop counts.
+    /// The counts of the loop.
     pub gauges: Gauges,
     /// The loop's records for the telemetry. Whoever steps the engine empties them, or records are lost.
     pub records: RecordReader,
@@ -49,7 +49,7 @@ pub struct Assembly<C> {
     pub pulse: Pulse,
     /// Who may use the wires.
     pub wires: Wires,
-    /// What stops the drives of buses without the loop.
+    /// The stops of the drives of buses without the loop.
     pub last_resorts: Vec<LastResort>,
     /// Memory that the loop touches, for [`rt::thread::enter`].
     pub regions: Regions,

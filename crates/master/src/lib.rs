@@ -354,8 +354,8 @@ impl Master {
     /// Stops all axes, powers them off, ends the loop and returns the measurements. If the loop panicked, they say so:
     /// [`Numbers::panic`], [`Measured::failures`].
     ///
-    /// If its cycle does not end, this returns once the [watch](fieldbeat_core::cycle::WatchAfter) has done what can be done
-    /// without it, and the measurements say that the run has failed.
+    /// If its cycle does not end, this returns once the [watch](fieldbeat_core::cycle::WatchAfter) has done what can be
+    /// done without it, and the measurements say that the run has failed.
     pub fn finish(mut self) -> Run {
         self.stop();
         let (end, failed) = match self.join() {
@@ -619,7 +619,7 @@ impl Setup {
     }
 }
 
-/// What stays at hand for a black box; `outlives`: also once this process has ended.
+/// The records kept for a black box; `outlives`: also once this process has ended.
 fn kept_for(plan: &Plan, black_box: Option<&dyn Keep>, outlives: bool) -> Kept {
     black_box.map_or(Kept::default(), |black_box| Kept {
         records: plan.black_box_records(),

@@ -12,9 +12,9 @@ use fieldbeat_telemetry::log::{LogBegin, MachineOf};
 /// The ring of the log holds the traffic of a second, but no fewer and no more words than this.
 const LEAST_WORDS: u64 = 1 << 17;
 const MOST_WORDS: u64 = 1 << 23;
-/// So many words of each drive and cycle: request and reply with their heads, of the longest usual telegrams.
+/// The words of each drive and cycle: request and reply with their heads, of the longest usual telegrams.
 const WORDS_A_DRIVE: u64 = 40;
-/// So many words more of each cycle.
+/// The further words of each cycle.
 const WORDS_A_CYCLE: u64 = 64;
 
 /// A log for a machine of `plan`, and its reader.

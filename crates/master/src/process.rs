@@ -104,7 +104,7 @@ impl Place {
         free
     }
 
-    /// Its loop runs, in this process and on another thread than the calling one.
+    /// The loop runs, in this process and on another thread than the calling one.
     fn runs(&self) -> bool {
         self.taken.load(Ordering::Acquire)
             && self.process.load(Ordering::Relaxed) == std::process::id()
@@ -164,7 +164,7 @@ pub const ENDING: [c_int; 13] = [
     libc::SIGPIPE,
 ];
 
-/// What `signal` does now: a handler, SIG_DFL or SIG_IGN.
+/// The present action of `signal`: a handler, SIG_DFL or SIG_IGN.
 pub fn action_of(signal: c_int) -> libc::sighandler_t {
     let mut action = std::mem::MaybeUninit::<libc::sigaction>::zeroed();
     // SAFETY: a null action changes nothing, and `action` has room for the present one; all zero is a valid one.
@@ -177,7 +177,7 @@ pub fn action_of(signal: c_int) -> libc::sighandler_t {
 /// The signal that ends the process: the first one that came.
 static CAUGHT: AtomicI32 = AtomicI32::new(0);
 
-/// What wakes the thread that waits for it.
+/// The descriptor that wakes the thread that waits for it.
 static BELL: AtomicI32 = AtomicI32::new(-1);
 
 /// The process that catches them.
@@ -288,7 +288,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_place_is_used_again_as_new_and_never_while_somebody_has_a_handle_of_the_old_master() {
+    fn a_place_is_reused_only_once_all_handles_of_the_old_master_are_dropped() {
         let first = Running::begin([Duration::from_secs(2), Duration::from_secs(5)].into_iter()).unwrap();
         let (place, handle) = (first.0, first.control());
         assert_eq!(place.longest_ns.load(Ordering::Relaxed), 6_000_000_000);

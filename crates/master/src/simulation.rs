@@ -59,22 +59,22 @@ pub struct Simulation {
     pub events: Vec<(usize, Event)>,
 }
 
-/// What can happen to a simulated drive.
+/// The events of a simulated drive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum DriveEvent {
-    /// Its cable is pulled out: on an EtherCAT segment in front of it, so that all behind it are gone, too; on a
+    /// The cable is pulled out: on an EtherCAT segment in front of it, so that all behind it are gone, too; on a
     /// serial wire that of the master. The drive goes on by itself.
     Unplug,
     /// The cable is back.
     Plug,
     /// It is switched off and on again.
     Restart,
-    /// Its hardware enable (STO) is open for so long.
+    /// The hardware enable (STO) is open for so long.
     OpenSto(Duration),
 }
 
-/// What virtual time grants.
+/// The grants of virtual time.
 pub(crate) fn granted() -> Granted {
     let missing = vec!["time is virtual: nothing here says what this host is worth".to_owned()];
     Granted { policy: "virtual", priority: 0, core: None, memory_locked: false, missing }
@@ -323,7 +323,7 @@ impl Simulation {
         self.engine.status()
     }
 
-    /// What the telemetry has measured so far. Without a kernel to query, causes other than the drives are unknown.
+    /// The measurements of the telemetry so far. Without a kernel to query, causes other than the drives are unknown.
     pub fn measured(&self) -> &Measured {
         &self.measured
     }
@@ -350,7 +350,7 @@ impl Simulation {
         self.gauges.numbers()
     }
 
-    /// What is to be known of drives and devices although they are in operation; see
+    /// The remarks on drives and devices although they are in operation; see
     /// [`Monitor::remarks`](fieldbeat_telemetry::Monitor::remarks).
     pub fn remarks(&self) -> Vec<String> {
         self.gauges.remarks()
@@ -454,8 +454,8 @@ impl Simulation {
         self.control.stop();
     }
 
-    /// The exact numbers of the run. A recording ends with it; [`finish_recording`](Simulation::finish_recording) before
-    /// says what became of it.
+    /// The exact numbers of the run. A recording ends with it; [`finish_recording`](Simulation::finish_recording)
+    /// before says what became of it.
     pub fn finish(mut self) -> Numbers {
         self.finish_recording();
         self.engine.finish()

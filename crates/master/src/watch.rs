@@ -19,7 +19,7 @@ const GUARDIAN_NS: u64 = 500 * MS;
 /// A loop that comes back ends within this time, ns; nobody waits longer where there is nothing to be stopped.
 const RETURN_NS: u64 = S;
 
-/// What [`finish`](super::Master::finish) says of a loop from which the watch has taken the wires ...
+/// The report of [`finish`](super::Master::finish) on a loop from which the watch has taken the wires ...
 const STUCK: &str = "the loop is stuck: its cycle has not ended within watch_after; look at what holds its \
      thread up (the in-loop task, a driver of the host); the watch took the wires";
 /// ... or the guardian ...
@@ -66,7 +66,7 @@ impl LoopWatch {
         self.wires.is_stuck()
     }
 
-    /// What that means, if it is, and how the drives were stopped; `panicked`: that is reported already.
+    /// The meaning of a stuck loop, and how the drives were stopped; `panicked`: that is reported already.
     pub(super) fn stuck(&self, panicked: bool) -> Option<String> {
         let who = match self.wires.taker()? {
             _ if panicked => "the watch took the wires",
@@ -189,7 +189,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_end_of_a_loop_that_has_died_is_bounded_whoever_takes_its_wires() {
+    fn the_stop_after_a_dead_loop_is_bounded_whichever_thread_takes_its_wires() {
         for by_the_watch in [false, true] {
             let wires = Wires::default();
             if by_the_watch {

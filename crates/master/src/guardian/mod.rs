@@ -27,7 +27,7 @@ use fieldbeat_core::rt::{Realtime, RealtimePlan, Wires, Words, child};
 /// The first argument of a program that is to be a guardian. Programs of another layout do not know it.
 const ROLE: &str = concat!("--fieldbeat-guardian-", env!("CARGO_PKG_VERSION"));
 
-/// What a guardian says once it watches.
+/// The message of a guardian once it watches.
 const READY: &[u8] = b"ready";
 
 /// It has so long to start: a busy host starts programs slowly.
@@ -75,7 +75,7 @@ pub enum NoGuardian {
 
 fieldbeat_core::debug_as_display!(NoGuardian);
 
-/// What it means.
+/// The consequence of a missing guardian.
 const UNGUARDED: &str = "if this process is killed, a LinMot moves on to its target and stays powered";
 
 /// The numbers that a guardian gets.
@@ -92,7 +92,7 @@ struct Numbers {
     /// The priority of the loop, 0: an ordinary thread.
     priority: u8,
     core: Option<usize>,
-    /// Whose guardian it is, for whoever lists the processes.
+    /// The process that it guards, for lists of processes.
     process: u32,
 }
 
@@ -123,7 +123,7 @@ impl Numbers {
     }
 }
 
-/// What two programs have to agree on: this changes with the layout or the meaning of what they share.
+/// The version that two programs have to agree on: it changes with the layout or the meaning of what they share.
 const LAYOUT: i64 = 1;
 
 fn layout() -> i64 {
@@ -133,7 +133,7 @@ fn layout() -> i64 {
 /// A guardian, as its master knows it.
 #[derive(Debug)]
 pub(crate) struct Guardian {
-    /// Its end of this says that it is ready, and, closed, that it has ended.
+    /// The end of this says that it is ready, and, closed, that it has ended.
     link: UnixStream,
     wires: Wires,
 }
@@ -242,7 +242,7 @@ impl Drop for Guardian {
     }
 }
 
-/// What a guardian says until `enough`, up to its end, or to a time limit.
+/// The messages of a guardian until `enough`, up to its end, or to a time limit.
 fn read(mut link: &UnixStream, limit: Duration, enough: impl Fn(&[u8]) -> bool) -> Vec<u8> {
     let begun = Instant::now();
     let (mut said, mut bytes) = (Vec::new(), [0; 256]);

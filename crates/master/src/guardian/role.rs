@@ -116,7 +116,7 @@ struct Guard {
     wires: Wires,
     /// Readable once the master's process has ended.
     process: OwnedFd,
-    /// What outlives it.
+    /// The records that outlive it.
     records: Option<File>,
     stops: Vec<LastStop>,
     locks: Vec<OwnedFd>,
