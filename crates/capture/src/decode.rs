@@ -14,7 +14,7 @@ use super::reader::{Interface, Packet};
 use super::stream::Stream;
 use super::{Direction, ETHERNET, PROFIBUS, USER0};
 
-/// So many kinds of what is not known are named, those of the most packets.
+/// The number of unknown kinds that are named, those of the most packets.
 const MOST_NAMED: usize = 8;
 
 /// A telegram.
@@ -24,13 +24,13 @@ pub struct Telegram<'a> {
     pub utc_ns: Option<u64>,
     /// The interface that it was captured on.
     pub interface: &'a str,
-    /// Its direction there, if that is known.
+    /// The direction there, if that is known.
     pub direction: Option<Direction>,
     /// From where, and to where.
     pub ends: [String; 2],
-    /// Its protocol, as in configurations.
+    /// The protocol, as in configurations.
     pub protocol: &'static str,
-    /// Its fields.
+    /// The fields.
     pub text: String,
 }
 
@@ -63,8 +63,8 @@ pub struct Decoder {
     others: BTreeMap<String, u64>,
 }
 
-/// What is known of the packet that is read.
-struct Around<'a> {
+/// The packet that is read, and its interface.
+struct PacketContext<'a> {
     interface: &'a Interface,
     packet: &'a Packet,
 }
@@ -83,8 +83,8 @@ fn port(carrier: Carrier, is_stream: bool) -> Option<u16> {
     }
 }
 
-/// What goes between two ends, and which way.
-type Known = (&'static str, &'static Telegrams, Way);
+/// The telegrams between two ends, and which way they go.
+type TelegramFlow = (&'static str, &'static Telegrams, Way);
 
 impl Decoder {
     /// One without a packet. Drives of these protocols have these ports, too.
@@ -99,7 +99,7 @@ impl Decoder {
         packet: &Packet,
         mut take: impl FnMut(&Telegram<'_>) -> Result<(), E>,
     ) -> Result<(), E> {
-        let around = Around { interface, packet };
+        let around = PacketContext { interface, packet };
         match interface.link_type {
             ETHERNET => match frame(&packet.bytes) {
                 Some(frame) => self.frame(&around, &frame, &mut take),
@@ -112,7 +112,7 @@ impl Decoder {
 
     fn frame<E>(
         &mut self,
-        around: &Around<'_>,
+        around: &PacketContext<'_>,
         frame: &Frame<'_>,
         take: &mut impl FnMut(&Telegram<'_>) -> Result<(), E>,
     ) -> Result<(), E> {
@@ -149,9 +149,9 @@ impl Decoder {
         }
     }
 
-    /// What goes between these ends, and which way: by their ports, or by the bus of a capture that was made here,
-    /// whose drives may have others.
-    fn between(&self, (from, to): Ends, is_stream: bool, around: &Around<'_>) -> Option<Known> {
+    /// The telegrams between these ends, and which way they go: by their ports, or by the bus of a capture that was
+    /// made here, whose drives may have others.
+    fn between(&self, (from, to): Ends, is_stream: bool, around: &PacketContext<'_>) -> Option<TelegramFlow> {
         let by_direction = match around.packet.direction {
             Some(Direction::Outbound) => Way::ToDrive,
             Some(Direction::Inbound) => Way::FromDrive,
@@ -176,9 +176,9 @@ impl Decoder {
 
     fn segment<E>(
         &mut self,
-        around: &Around<'_>,
+        around: &PacketContext<'_>,
         ends: Ends,
-        of: Known,
+        of: TelegramFlow,
         segment: Segment<'_>,
         take: &mut impl FnMut(&Telegram<'_>) -> Result<(), E>,
     ) -> Result<(), E> {
@@ -207,7 +207,7 @@ impl Decoder {
     /// One telegram in each packet, as a rule.
     fn serial<E>(
         &mut self,
-        around: &Around<'_>,
+        around: &PacketContext<'_>,
         take: &mut impl FnMut(&Telegram<'_>) -> Result<(), E>,
     ) -> Result<(), E> {
         let Some((name, telegrams)) = known().find(|(_, of)| of.carrier == Carrier::Serial) else {
@@ -229,9 +229,9 @@ impl Decoder {
 
     fn telegram<E>(
         &mut self,
-        around: &Around<'_>,
+        around: &PacketContext<'_>,
         ends: [String; 2],
-        (protocol, telegrams, way): Known,
+        (protocol, telegrams, way): TelegramFlow,
         bytes: &[u8],
         take: &mut impl FnMut(&Telegram<'_>) -> Result<(), E>,
     ) -> Result<(), E> {

@@ -41,7 +41,7 @@ const AS_IT_WAS: &str = "Frames as they were.";
 const SERIAL: &str =
     "Telegrams of the serial wire, one in each packet, by the link type of private use 147 (USER0).";
 
-/// So many ns a recording is later by UTC than by the clock of the loop: that of its first message.
+/// The ns by which a recording is later by UTC than by the clock of the loop: that of its first message.
 pub fn utc_ns(recording: Reading) -> i64 {
     let messages = recording.map_while(Result::ok);
     let both = messages.map(|message| (message.utc_ns, message.number("monotonic_ns")));
@@ -49,7 +49,7 @@ pub fn utc_ns(recording: Reading) -> i64 {
     found.map_or(0, |(utc_ns, monotonic_ns)| utc_ns.wrapping_sub(monotonic_ns).cast_signed())
 }
 
-/// What the link thread had on connections in a recording, in the order of its times.
+/// The bytes that the link thread had on connections in a recording, in the order of its times.
 pub fn link_of(recording: Reading) -> impl Iterator<Item = LinkPassed> {
     let messages = recording.map_while(Result::ok).filter(|message| message.topic.name == LINK_TOPIC);
     messages.filter_map(|message| {
@@ -66,13 +66,13 @@ pub fn link_of(recording: Reading) -> impl Iterator<Item = LinkPassed> {
     })
 }
 
-/// What comes from [`link_of`].
+/// The result of [`link_of`].
 pub type Link = Peekable<Box<dyn Iterator<Item = LinkPassed>>>;
 
 /// Makes packets of what is logged.
 pub struct Export<W> {
     out: Writer<W>,
-    /// What the link thread had on connections, as far as no packets were made of it.
+    /// The bytes that the link thread had on connections, as far as no packets were made of them.
     link: Link,
     /// There is some: it says when a connection begins.
     has_link: bool,
@@ -116,18 +116,18 @@ struct Half {
     at: Time,
 }
 
-/// What passed a wire.
+/// A message that passed a wire.
 #[derive(Debug)]
 struct Passed {
     at: Time,
     bus: usize,
-    what: What,
+    what: PassedKind,
     direction: Direction,
     bytes: Vec<u8>,
 }
 
 #[derive(Clone, Copy, Debug)]
-enum What {
+enum PassedKind {
     Frame,
     Datagram(SocketAddrV4),
     /// Of this connection, or of the serial wire.
@@ -142,9 +142,9 @@ impl From<LinkPassed> for Passed {
     fn from(LinkPassed { at, bus, index, peer, event, bytes }: LinkPassed) -> Passed {
         let (bus, index) = (bus.into(), index.into());
         let (what, direction) = match event {
-            LinkEvent::Opened | LinkEvent::Closed => (What::NewConnection(index), Direction::Outbound),
-            LinkEvent::Sent => (What::LinkBytes(index, peer), Direction::Outbound),
-            LinkEvent::Received => (What::LinkBytes(index, peer), Direction::Inbound),
+            LinkEvent::Opened | LinkEvent::Closed => (PassedKind::NewConnection(index), Direction::Outbound),
+            LinkEvent::Sent => (PassedKind::LinkBytes(index, peer), Direction::Outbound),
+            LinkEvent::Received => (PassedKind::LinkBytes(index, peer), Direction::Inbound),
         };
         Passed { at, bus, what, direction, bytes }
     }
@@ -152,7 +152,7 @@ impl From<LinkPassed> for Passed {
 
 const NEW: Stream = Stream { port: None, next: [1, 1] };
 
-/// What passes the wires of a protocol.
+/// The telegrams of a protocol's wires.
 fn telegrams(protocol: &str) -> &'static [Telegrams] {
     PROTOCOLS.iter().find(|known| known.name == protocol).map_or(&[], |known| known.telegrams)
 }
@@ -215,7 +215,7 @@ impl<W: Write> Export<W> {
         self.learn(looks, entry);
         let passed =
             |what, direction, words| Passed { at: entry.at, bus, what, direction, bytes: entry.bytes(words) };
-        let peer = What::Datagram(peer_of(entry.word(0)));
+        let peer = PassedKind::Datagram(peer_of(entry.word(0)));
         self.cycle.push(match entry.kind {
             Kind::Cycle => return self.flush(),
             Kind::Value => {
@@ -224,18 +224,19 @@ impl<W: Write> Export<W> {
             }
             Kind::DatagramIn => passed(peer, Direction::Inbound, 1),
             Kind::DatagramOut => passed(peer, Direction::Outbound, 1),
-            Kind::FrameIn => passed(What::Frame, Direction::Inbound, 1),
-            Kind::FrameOut => passed(What::Frame, Direction::Outbound, 1),
-            Kind::BytesIn => passed(What::Bytes(index), Direction::Inbound, 1),
+            Kind::FrameIn => passed(PassedKind::Frame, Direction::Inbound, 1),
+            Kind::FrameOut => passed(PassedKind::Frame, Direction::Outbound, 1),
+            Kind::BytesIn => passed(PassedKind::Bytes(index), Direction::Inbound, 1),
             Kind::BytesOut => {
-                let mut out = passed(What::Bytes(index), Direction::Outbound, 2);
+                let mut out = passed(PassedKind::Bytes(index), Direction::Outbound, 2);
                 // The rest is handed over again.
                 out.bytes.truncate(entry.word(1) as usize);
                 out
             }
-            Kind::Broken | Kind::BytesUnsent => {
-                Passed { bytes: Vec::new(), ..passed(What::NewConnection(index), Direction::Outbound, 2) }
-            }
+            Kind::Broken | Kind::BytesUnsent => Passed {
+                bytes: Vec::new(),
+                ..passed(PassedKind::NewConnection(index), Direction::Outbound, 2)
+            },
             _ => return Ok(()),
         });
         Ok(())
@@ -251,7 +252,7 @@ impl<W: Write> Export<W> {
         {
             self.sources.insert(source, bus);
         } else if let Some(&bus) = self.sources.get(&source) {
-            let (what, direction) = (What::NewConnection(value as usize), Direction::Outbound);
+            let (what, direction) = (PassedKind::NewConnection(value as usize), Direction::Outbound);
             self.cycle.push(Passed { at: entry.at, bus, what, direction, bytes: Vec::new() });
         }
     }
@@ -277,43 +278,45 @@ impl<W: Write> Export<W> {
         let mut put =
             |bytes: &[u8], utc_ns, direction| self.out.packet(place as u32, utc_ns, direction, bytes);
         match what {
-            What::Frame => put(bytes, utc_ns, direction),
-            What::Datagram(peer) => {
+            PassedKind::Frame => put(bytes, utc_ns, direction),
+            PassedKind::Datagram(peer) => {
                 let packet = match direction {
                     Direction::Inbound => datagram(peer, bus.local, bytes),
                     Direction::Outbound => datagram(bus.local, peer, bytes),
                 };
                 put(&packet, utc_ns, direction)
             }
-            What::Bytes(index) | What::LinkBytes(index, _) => match (bus.front, bus.streams.get_mut(index)) {
-                (Some(front), _) => bus.serial(front, passed, |bytes, at: Time, direction| {
-                    put(bytes, at.0.wrapping_add_signed(self.utc_ns), direction)
-                }),
-                (None, Some(stream)) => {
-                    let drive = match what {
-                        What::LinkBytes(_, peer) => peer,
-                        _ => bus.drives[index],
-                    };
-                    let port = stream.port.unwrap_or(self.port);
-                    if stream.port.replace(port).is_none() {
-                        self.port = port.checked_add(1).unwrap_or(FIRST_PORT);
-                    }
-                    let local = SocketAddrV4::new(*bus.local.ip(), port);
-                    for piece in bytes.chunks(MOST_BYTES) {
-                        let [out, inward] = &mut stream.next;
-                        let packet = match direction {
-                            Direction::Outbound => segment(local, drive, [*out, *inward], piece),
-                            Direction::Inbound => segment(drive, local, [*inward, *out], piece),
+            PassedKind::Bytes(index) | PassedKind::LinkBytes(index, _) => {
+                match (bus.front, bus.streams.get_mut(index)) {
+                    (Some(front), _) => bus.serial(front, passed, |bytes, at: Time, direction| {
+                        put(bytes, at.0.wrapping_add_signed(self.utc_ns), direction)
+                    }),
+                    (None, Some(stream)) => {
+                        let drive = match what {
+                            PassedKind::LinkBytes(_, peer) => peer,
+                            _ => bus.drives[index],
                         };
-                        let next = if direction == Direction::Outbound { out } else { inward };
-                        *next = next.wrapping_add(piece.len() as u32);
-                        put(&packet, utc_ns, direction)?;
+                        let port = stream.port.unwrap_or(self.port);
+                        if stream.port.replace(port).is_none() {
+                            self.port = port.checked_add(1).unwrap_or(FIRST_PORT);
+                        }
+                        let local = SocketAddrV4::new(*bus.local.ip(), port);
+                        for piece in bytes.chunks(MOST_BYTES) {
+                            let [out, inward] = &mut stream.next;
+                            let packet = match direction {
+                                Direction::Outbound => segment(local, drive, [*out, *inward], piece),
+                                Direction::Inbound => segment(drive, local, [*inward, *out], piece),
+                            };
+                            let next = if direction == Direction::Outbound { out } else { inward };
+                            *next = next.wrapping_add(piece.len() as u32);
+                            put(&packet, utc_ns, direction)?;
+                        }
+                        Ok(())
                     }
-                    Ok(())
+                    _ => Ok(()),
                 }
-                _ => Ok(()),
-            },
-            What::NewConnection(index) => {
+            }
+            PassedKind::NewConnection(index) => {
                 if let Some(stream) = bus.streams.get_mut(index) {
                     *stream = NEW;
                 }

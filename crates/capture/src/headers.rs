@@ -15,7 +15,7 @@ const VLAN: [u16; 3] = [0x8100, 0x88A8, 0x9100];
 /// Protocols of IPv4.
 const PROTOCOL_TCP: u8 = 6;
 const PROTOCOL_UDP: u8 = 17;
-/// What one packet of ours carries at most: that of the usual Ethernet.
+/// The most bytes that one packet of ours carries: that of the usual Ethernet.
 pub const MOST_BYTES: usize = 1_460;
 
 /// Flags of TCP.
@@ -30,13 +30,13 @@ mod flag {
 pub struct Frame<'a> {
     /// Destination and source.
     pub addresses: &'a [u8],
-    /// What it carries.
+    /// The Ethertype of its payload.
     pub ethertype: u16,
     /// That.
     pub payload: &'a [u8],
 }
 
-/// What an IPv4 packet carries.
+/// The payload of an IPv4 packet.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Carried<'a> {
     /// A datagram of UDP.
@@ -56,7 +56,7 @@ pub struct Segment<'a> {
     pub sequence: u32,
     /// It opens a connection, which takes one number.
     pub is_first: bool,
-    /// Its bytes.
+    /// The bytes.
     pub bytes: &'a [u8],
 }
 
@@ -73,7 +73,7 @@ pub fn frame(packet: &[u8]) -> Option<Frame<'_>> {
 }
 
 impl<'a> Frame<'a> {
-    /// What it carries by IPv4; `None`: nothing by that, or its headers contradict themselves.
+    /// The payload by IPv4; `None`: none, or its headers contradict themselves.
     pub fn ipv4(&self) -> Option<Carried<'a>> {
         if self.ethertype != ETHERTYPE_IPV4 {
             return None;
@@ -203,7 +203,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_made_is_read_and_its_checksums_are_right() {
+    fn built_headers_parse_back_with_right_checksums() {
         for bytes in [&[][..], &[1], &[1, 2, 3], &[0xFF; 400]] {
             let packet = datagram(FROM, TO, bytes);
             assert_eq!(frame(&packet).unwrap().ipv4(), Some(Carried::Datagram(FROM, TO, bytes)));
@@ -216,7 +216,7 @@ mod tests {
     }
 
     #[test]
-    fn tags_padding_and_fragments_are_told_apart_and_no_bytes_panic() {
+    fn tags_padding_and_fragments_are_distinguished_and_no_bytes_panic() {
         let plain = datagram(FROM, TO, &[5, 6]);
         let mut tagged = [&plain[..12], &[0x81, 0, 0, 7, 0x88, 0xA8, 0, 8], &plain[12..], &[0; 9]].concat();
         let found = frame(&tagged).unwrap();

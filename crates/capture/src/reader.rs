@@ -16,7 +16,7 @@ const PCAP: [u32; 2] = [0xA1B2_C3D4, 0xA1B2_3C4D];
 const PCAP_HEADER: usize = 20;
 const PCAP_PACKET: usize = 16;
 
-/// What is wrong with a capture.
+/// The mistake in a capture.
 #[derive(thiserror::Error)]
 pub enum Wrong {
     /// The operating system refused.
@@ -44,11 +44,11 @@ impl Wrong {
 /// An interface of a capture.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Interface {
-    /// Its name; without one its number.
+    /// The name; without one its number.
     pub name: String,
-    /// What it is; of a capture that was made here the protocol of its bus.
+    /// The description; of a capture that was made here the protocol of its bus.
     pub description: String,
-    /// What its packets begin with.
+    /// The type of its packets' first header.
     pub link_type: u16,
     /// Units of its times in a second.
     per_second: u128,
@@ -63,7 +63,7 @@ pub struct Packet {
     pub interface: usize,
     /// When, ns of UTC.
     pub utc_ns: Option<u64>,
-    /// Its direction.
+    /// The direction.
     pub direction: Option<Direction>,
     /// It, as far as it was captured.
     pub bytes: Vec<u8>,
@@ -83,7 +83,7 @@ pub struct Capture<R> {
     form: Form,
     is_big: bool,
     interfaces: Vec<Interface>,
-    /// What was read last.
+    /// The block that was read last.
     block: Vec<u8>,
 }
 
@@ -309,7 +309,7 @@ fn word(is_big: bool, bytes: &[u8]) -> Option<u32> {
     Some(if is_big { u32::from_be_bytes(bytes) } else { u32::from_le_bytes(bytes) })
 }
 
-/// So many bytes, and their padding; that of the last one may be missing.
+/// The next `length` bytes, and their padding; that of the last one may be missing.
 fn padded<'a>(reader: &mut Reader<'a>, length: usize) -> Option<&'a [u8]> {
     let bytes = reader.bytes(length)?;
     let padding = length.next_multiple_of(4) - length;
@@ -359,7 +359,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_written_is_read() {
+    fn a_written_capture_reads_back_equal() {
         let bytes = written();
         let mut capture = Capture::open(&bytes[..]).unwrap();
         let first = Packet {
@@ -377,7 +377,7 @@ mod tests {
     }
 
     #[test]
-    fn a_section_of_the_other_order_and_blocks_that_nobody_knows_are_read() {
+    fn big_endian_sections_and_unknown_blocks_are_read() {
         let mut bytes = Vec::new();
         let mut block = |kind: u32, body: &[u8]| {
             let length = (body.len() as u32 + 12).to_be_bytes();

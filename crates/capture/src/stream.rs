@@ -2,9 +2,9 @@
 
 use super::headers::Segment;
 
-/// So much is kept behind a segment that is missing. Then it is taken for lost.
+/// The most bytes that are kept behind a segment that is missing. Then it is taken for lost.
 const MOST_HELD: usize = 64 << 10;
-/// So many segments at most.
+/// The most segments that are kept so.
 const MOST_SEGMENTS: usize = 64;
 
 /// One direction of a connection.
@@ -16,7 +16,7 @@ pub struct Stream {
     next: Option<u32>,
     /// Bytes in order, of which no telegram was made.
     pub bytes: Vec<u8>,
-    /// What came behind a gap.
+    /// The segments behind a gap.
     held: Vec<(u32, Vec<u8>)>,
 }
 

@@ -36,7 +36,7 @@ pub(super) mod option {
     pub const FLAGS: u16 = 2;
 }
 
-/// What shows the order of the bytes of a section.
+/// The number that shows the order of the bytes of a section.
 pub(super) const ORDER: u32 = 0x1A2B_3C4D;
 /// Times in 10^-9 s.
 const NANOSECONDS: u8 = 9;

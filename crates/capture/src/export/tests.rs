@@ -43,7 +43,7 @@ limits.velocity = 20
 
 const LATER_NS: i64 = 1_000_000;
 
-/// What is made of a log.
+/// The capture that is made of a log.
 fn exported(work: impl FnOnce(&Recording)) -> (Vec<u8>, u64) {
     let (recording, mut reader) = log(1 << 12, &mut Regions::default());
     work(&recording);
