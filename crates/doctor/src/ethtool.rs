@@ -6,7 +6,7 @@ use std::os::fd::AsRawFd;
 
 use nix::sys::socket::{AddressFamily, SockFlag, SockType, socket};
 
-/// What the driver reports. A setting that it does not report is an error.
+/// The settings that the driver reports. One that it does not report is an error.
 #[derive(Debug)]
 pub(super) struct Nic {
     /// How long interrupts are held back.
@@ -36,7 +36,7 @@ const ETH_FLAG_LRO: u32 = 1 << 15;
 const SIOCETHTOOL: libc::c_ulong = 0x8946;
 
 impl Nic {
-    /// Asks the driver of `interface`.
+    /// Requests a value of the driver of `interface`.
     pub fn ask(interface: &str) -> Nic {
         let value = |command: u32| ask(interface, [command, 0]).map(|[_, value]| value);
         // `struct ethtool_coalesce`: the command and 22 numbers of 32 bits.
@@ -60,7 +60,7 @@ fn ask<const WORDS: usize>(interface: &str, mut data: [u32; WORDS]) -> io::Resul
     /// `struct ifreq` of netdevice(7), as SIOCETHTOOL uses it: its union is 24 bytes where pointers have 64 bits, 16
     /// where they have 32.
     #[repr(C)]
-    struct Request {
+    struct Ifreq {
         name: [u8; libc::IFNAMSIZ],
         data: *mut u32,
         rest: [usize; if size_of::<usize>() == 8 { 2 } else { 3 }],
@@ -71,7 +71,7 @@ fn ask<const WORDS: usize>(interface: &str, mut data: [u32; WORDS]) -> io::Resul
         return Err(io::ErrorKind::InvalidInput.into());
     }
     name[..interface.len()].copy_from_slice(interface.as_bytes());
-    let mut request = Request { name, data: data.as_mut_ptr(), rest: Default::default() };
+    let mut request = Ifreq { name, data: data.as_mut_ptr(), rest: Default::default() };
     // Any socket will do (netdevice(7)).
     let socket = socket(AddressFamily::Inet, SockType::Datagram, SockFlag::SOCK_CLOEXEC, None)?;
     // SAFETY: `request` has the layout of struct ifreq, and its name ends with a zero. For the commands of this file
@@ -88,7 +88,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn loopback_answers_and_nobody_does_not() {
+    fn loopback_answers_and_an_unused_address_does_not() {
         // Every Linux has lo, with GRO and without interrupts to hold back.
         let lo = Nic::ask("lo");
         assert!(lo.gro.is_ok() && lo.lro.is_ok(), "{lo:?}");

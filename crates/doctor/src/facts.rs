@@ -25,7 +25,7 @@ use fieldbeat_core::rt::{Denied, Memory, MonotonicClock, RealtimeError, Regions,
 pub(super) struct Facts {
     /// `/proc`, `/sys` and `/dev`.
     pub root: Root,
-    /// What is no file.
+    /// The facts that are no file.
     pub probes: Probes,
 }
 
@@ -173,7 +173,7 @@ pub(super) struct Probes {
     pub addresses: Vec<(Ipv4Addr, String)>,
     /// Settings of the interfaces that the buses use, by name.
     pub nics: Vec<(String, Nic)>,
-    /// What the drivers of the serial ports make of the plan's settings, by path.
+    /// The settings of the serial ports as their drivers have them, by path.
     pub ports: Vec<(String, Result<Tried, Untried>)>,
     /// The file of this program.
     pub program: Program,
@@ -232,7 +232,7 @@ impl Probes {
         self.nics.iter().find(|(known, _)| known == name).map(|(_, nic)| nic)
     }
 
-    /// What the driver of port `path` makes of its settings, if a bus uses it.
+    /// The settings of port `path` as its driver has them, if a bus uses it.
     pub fn port(&self, path: &str) -> Option<&Result<Tried, Untried>> {
         self.ports.iter().find(|(known, _)| known == path).map(|(_, tried)| tried)
     }
@@ -370,7 +370,7 @@ pub(super) mod testing {
         }
     }
 
-    /// What a process sees that sees all others.
+    /// The file by which a process sees that it sees all others.
     pub const KTHREADD: (&str, &str) = ("proc/2/stat", "2 (kthreadd) S 0 0 0");
 
     /// The default plan on core 3.

@@ -6,13 +6,13 @@ use serde::Serialize;
 
 use super::facts::{Root, shown};
 
-/// What something is about.
+/// The area of a finding.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Area {
     /// How the kernel schedules.
     Kernel,
-    /// What this user may do.
+    /// The rights of this user.
     Rights,
     /// The core of the loop, and what else runs on it.
     Core,
@@ -20,17 +20,17 @@ pub enum Area {
     Power,
     /// Clocks, timers, and a host above this one.
     Clock,
-    /// What moves memory.
+    /// Settings that move memory.
     Memory,
     /// The network to the drives.
     Network,
-    /// What a cycle of the plan takes.
+    /// The load of a cycle of the plan.
     Load,
-    /// What was measured.
+    /// Measurements.
     Measured,
 }
 
-/// What a finding means for the plan.
+/// The meaning of a finding for the plan.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Verdict {
@@ -47,15 +47,15 @@ pub enum Verdict {
 /// One thing about this host.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Finding {
-    /// What it belongs to.
+    /// The area that it belongs to.
     pub area: Area,
-    /// What it is.
+    /// The name of the checked property.
     pub name: String,
-    /// What it means.
+    /// The meaning for the plan.
     pub verdict: Verdict,
-    /// What was found; why it is not known, if it is not.
+    /// The state found; why it is not known, if it is not.
     pub found: String,
-    /// What it should be.
+    /// The wanted state.
     pub wanted: String,
     /// The reason.
     pub why: String,
@@ -115,12 +115,12 @@ impl Finding {
         }
     }
 
-    /// What to do about it, and how to take it back.
+    /// Adds the fix, and how to take it back.
     pub(super) fn fix(self, fix: impl Into<String>, undo: impl Into<String>) -> Finding {
         Finding { fix: Some(fix.into()), undo: Some(undo.into()), ..self }
     }
 
-    /// What to do about it, where nothing has to be undone.
+    /// Adds the fix, where nothing has to be undone.
     pub(super) fn advise(self, fix: impl Into<String>) -> Finding {
         Finding { fix: Some(fix.into()), undo: None, ..self }
     }
@@ -179,7 +179,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_read_is_said_and_not_guessed() {
+    fn an_unreadable_file_is_reported_as_unknown() {
         let finding =
             |kind: io::ErrorKind| Finding::about(Area::Kernel, "x", "y", "z").unread("proc/x", &kind.into());
         assert_eq!(finding(io::ErrorKind::NotFound).found, "not known: this kernel has no /proc/x");

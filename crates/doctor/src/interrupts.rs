@@ -11,7 +11,7 @@ use super::finding::{Finding, lines, list, write};
 use fieldbeat_core::cycle::Wait;
 use fieldbeat_core::rt::host::cores_of;
 
-/// What its interrupts serve.
+/// The interrupts that serve a bus.
 #[derive(Debug)]
 pub(super) struct Served<'a> {
     /// The bus' name.
@@ -20,7 +20,7 @@ pub(super) struct Served<'a> {
     pub interrupts: Vec<u32>,
     /// Why they belong on other cores than the loop's.
     pub why: &'a str,
-    /// What has none.
+    /// The part that has none.
     pub none: &'a str,
 }
 

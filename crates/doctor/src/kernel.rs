@@ -146,7 +146,7 @@ fn version(release: &str) -> Option<(u32, u32)> {
 pub(super) struct Sysctl {
     pub area: Area,
     pub name: &'static str,
-    /// Its path below /proc/sys.
+    /// The path below /proc/sys.
     pub path: &'static str,
     pub wanted: i64,
     /// Whether more is good, too.

@@ -136,7 +136,7 @@ pub(crate) mod tests {
     use super::*;
     use fieldbeat_linudp::{LinUdpDrive, LinUdpPlan};
 
-    /// What a finding always has.
+    /// Asserts the parts that a finding always has.
     pub(crate) fn assert_whole(finding: &Finding) {
         assert!(!finding.found.is_empty() && !finding.why.is_empty(), "{finding:?}");
         // What is not as it should be says what to do.

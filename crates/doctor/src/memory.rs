@@ -70,7 +70,7 @@ fn huge_pages(root: &Root) -> Finding {
     }
 }
 
-/// What vm.swappiness is with rt-config/host/99-fieldbeat-sysctl.conf.
+/// The vm.swappiness of rt-config/host/99-fieldbeat-sysctl.conf.
 const SWAPPINESS: u32 = 10;
 
 fn swap(root: &Root) -> Finding {
@@ -106,7 +106,7 @@ mod tests {
     use crate::facts::testing::Host;
 
     #[test]
-    fn huge_pages_are_for_who_asks() {
+    fn huge_pages_by_request_only_are_good() {
         let path = "sys/kernel/mm/transparent_hugepage/enabled";
         let check = |files: &[(&str, &str)]| huge_pages(&Host::new(files).0.root);
         let always = check(&[(path, "[always] madvise never\n")]);

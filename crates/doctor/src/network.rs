@@ -108,7 +108,7 @@ fn interface(root: &Root, wire: &Wire, found: Option<&str>) -> Finding {
     state(root, finding, name)
 }
 
-/// What drives the interface `name`, and whether it is up.
+/// The driver of the interface `name`, and whether it is up.
 fn state(root: &Root, finding: Finding, name: &str) -> Finding {
     let file = |file: &str| root.get(&format!("sys/class/net/{name}/{file}"));
     // Reading it fails while the interface is switched off.

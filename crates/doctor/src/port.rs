@@ -114,7 +114,7 @@ fn driver(root: &Root, name: &str) -> Option<String> {
     drivers.find(|driver| driver != "port" && driver != "ctrl")
 }
 
-/// What the port is served by: the UART's interrupt, or that of the host controller that it is plugged into.
+/// The interrupts that serve the port: the UART's, or those of the host controller that it is plugged into.
 fn served<'a>(root: &Root, port: &'a Port, name: &str) -> Served<'a> {
     let number = |path: String| root.get(&path)?.parse().ok().filter(|irq: &u32| *irq > 0);
     let of_device = |device: &String| {

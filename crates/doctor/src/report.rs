@@ -12,10 +12,10 @@ use fieldbeat_core::time::Ns;
 use fieldbeat_record::style::{BAD, paint};
 use fieldbeat_record::summary::plural;
 
-/// What could be better.
+/// The style of findings that could be better.
 const POOR: Style = AnsiColor::Yellow.on_default();
 
-/// What is as it should be.
+/// The style of good findings.
 const GOOD: Style = AnsiColor::Green.on_default();
 
 /// The result of the doctor. Serialised, its keys are stable; values are in ns unless the key says otherwise; null

@@ -196,7 +196,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_with_capabilities_for_everybody_and_missing_filters_are_poor() {
+    fn a_file_with_capabilities_for_all_users_and_missing_filters_are_poor() {
         let found = |is_capable, is_for_all| program_file(Program { is_capable, is_for_all });
         assert_eq!([found(false, true), found(true, false)].map(|one| one.verdict), [Good; 2]);
         let open = found(true, true);

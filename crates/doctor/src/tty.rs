@@ -90,7 +90,7 @@ mod tests {
     const LINE: SerialLine = SerialLine { rate: 500_000, parity: Parity::Even, rs485: Rs485::Driver };
 
     #[test]
-    fn who_has_a_port_open_is_named() {
+    fn the_process_that_has_a_port_open_is_named() {
         let host = Host::new(&[("dev/ttyS1", ""), ("proc/self/fd/x", ""), ("proc/7/comm", "picocom\n")]);
         let root = &host.0.root;
         let device = root.resolved("/dev/ttyS1").unwrap();

@@ -36,7 +36,7 @@ pub struct Port {
     pub bus: String,
     /// The port, as in the configuration.
     pub path: String,
-    /// Its settings.
+    /// The settings.
     pub line: SerialLine,
 }
 

@@ -33,8 +33,8 @@ const FRAME: usize = 60;
 const SETTLED: Duration = Duration::from_micros(500);
 const PATIENCE: Duration = Duration::from_secs(1);
 
-/// What the exchanges of each medium cost, and the drivers of these interfaces. What cannot be measured here stays as
-/// stated; why, a line each.
+/// The costs of the exchanges of each medium, and of the drivers of these interfaces. One that cannot be measured here
+/// stays as stated; why, a line each.
 ///
 /// # Errors
 ///

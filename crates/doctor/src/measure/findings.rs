@@ -8,7 +8,7 @@ use fieldbeat_core::time::Ns;
 use fieldbeat_record::summary::plural;
 
 impl Measured {
-    /// What follows for the plan.
+    /// The findings for the plan.
     pub fn findings(&self, subject: &Subject) -> Vec<Finding> {
         vec![self.hardware_noise(subject), self.late_cycles(), self.shortest(subject)]
     }
@@ -143,7 +143,7 @@ pub(super) const HELPS: &str = "helps";
 
 pub(super) const HURTS: &str = "hurts";
 
-/// What a ratio with its interval says of latency.
+/// The meaning of a ratio of latencies with its interval.
 pub fn word(ratio: &Interval) -> &'static str {
     match ratio {
         Interval { high, .. } if *high < 0.95 => HELPS,

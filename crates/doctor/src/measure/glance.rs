@@ -26,7 +26,7 @@ const TOLERATED: f64 = 0.5;
 /// How long threads of this host were held up.
 #[derive(Clone, Debug)]
 pub struct Glance {
-    /// What the loop and its drives, each due to run at the same instant, waited in all, ns.
+    /// The times that the loop and its drives, each due to run at the same instant, waited in all, ns.
     waits_ns: Vec<u64>,
     fifo: bool,
 }

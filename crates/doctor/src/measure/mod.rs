@@ -51,10 +51,10 @@ impl Default for Effort {
     }
 }
 
-/// What is being measured, for whoever waits.
+/// The running measurement, for a display.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Progress<'a> {
-    /// What.
+    /// The measured setting.
     pub what: &'a str,
     /// The share of all that is done.
     pub done: f64,
@@ -112,7 +112,7 @@ struct Bench<'a> {
     subject: &'a Subject,
     effort: Effort,
     report: &'a mut dyn FnMut(Progress<'_>),
-    /// So much of the span is done.
+    /// The part of the span that is done.
     done_ns: f64,
     /// As the plan would run here.
     base: Setting,
@@ -224,7 +224,7 @@ impl Bench<'_> {
         (self.done_ns / self.effort.span_ns as f64).min(1.0)
     }
 
-    /// So many of a contender's slices fit into what the cores are given.
+    /// The number of a contender's slices that fit into the time of the cores.
     fn most_cores(&self) -> usize {
         let slot_ns = self.factor_period_ns() * FEWEST_CYCLES * FEWEST_ROUNDS;
         let slots = self.effort.span_ns as f64 * CORES / slot_ns as f64;

@@ -8,7 +8,7 @@ use super::setting::Setting;
 use crate::stats::{Interval, over_rounds};
 use fieldbeat_core::cycle::cost::{Costs, MEDIA};
 
-/// What was measured. Serialised, its keys are stable; values are in ns unless the key says otherwise; what the sample
+/// The measurements. Serialised, their keys are stable; values are in ns unless the key says otherwise; what the sample
 /// does not support is null.
 #[derive(Clone, Debug, Serialize)]
 pub struct Measured {
@@ -18,11 +18,11 @@ pub struct Measured {
     pub period_ns: u64,
     /// The plan had SCHED_FIFO.
     pub fifo: bool,
-    /// What each thing is worth.
+    /// The effect of each setting.
     pub factors: Vec<Factor>,
-    /// What could not be tried.
+    /// The settings that could not be tried.
     pub untried: Vec<Untried>,
-    /// What takes the core from a thread that never sleeps.
+    /// The interruptions of a thread that never sleeps.
     pub noise: Noise,
     /// The plan at its own period, over all slices that ran as planned.
     pub plan: Carries,
@@ -30,18 +30,18 @@ pub struct Measured {
     pub periods: Vec<Carries>,
     /// The shortest of these periods that was carried, and so were all longer ones.
     pub shortest_period_ns: Option<u64>,
-    /// What the kernel takes for an exchange.
+    /// The kernel's time for an exchange.
     pub costs: CostOf,
     /// Time that the hypervisor took from all cores meanwhile, ms.
     pub steal_ms: Option<u64>,
 }
 
-/// What the kernel takes to hand a request over and to take its reply in, ns; stated where it could not be measured.
+/// The kernel's time to hand a request over and to take its reply in, ns; stated where it could not be measured.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct CostOf {
     /// By what the exchange is: `datagram`, `stream`, `frame`, `telegram`; to send and to receive, ns.
     pub exchanges_ns: BTreeMap<&'static str, [u64; 2]>,
-    /// What the driver of an interface takes for a frame, ns.
+    /// The time of an interface's driver for a frame, ns.
     pub drivers_ns: BTreeMap<String, u64>,
     /// The same for estimates.
     #[serde(skip)]
@@ -62,7 +62,7 @@ impl From<Costs> for CostOf {
 /// One thing, without and with.
 #[derive(Clone, Debug, Serialize)]
 pub struct Factor {
-    /// What.
+    /// The name of the setting.
     pub name: String,
     /// Wake-up latency without it.
     pub without: Latency,
@@ -109,7 +109,7 @@ pub struct Latency {
 /// Something that could not be tried.
 #[derive(Clone, Debug, Serialize)]
 pub struct Untried {
-    /// What.
+    /// The name of the setting.
     pub name: String,
     /// Why, with the remedy.
     pub why: String,

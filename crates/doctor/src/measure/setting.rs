@@ -3,7 +3,7 @@
 /// How a slice runs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Setting {
-    /// Its core.
+    /// The core.
     pub core: usize,
     /// SCHED_FIFO at this priority; `None` = an ordinary thread that runs promptly, as the loop has it without the
     /// right.
