@@ -32,21 +32,21 @@ const MOST_ANSWERS: usize = 32;
 /// A browser that takes nothing for so long makes room for another one.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// What a page sends.
+/// The requests of a page.
 #[derive(Debug, Deserialize)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
-enum Request {
+enum PageRequest {
     /// The numbers of the signals that it shows from now on.
     Show(Vec<usize>),
-    /// What it requests of the axes.
+    /// A request to the axes.
     Operate(control::Request),
 }
 
-/// What every browser is served from.
+/// The state that every browser is served from.
 pub struct Hub {
-    /// What is new.
+    /// The updates.
     pub updates: broadcast::Sender<Update>,
-    /// What has to be known first.
+    /// The state that has to be known first.
     pub state: watch::Receiver<Utf8Bytes>,
     /// Where commands go, if they are allowed.
     pub control: Option<Arc<dyn Control>>,
@@ -81,7 +81,7 @@ pub async fn serve(socket: WebSocket, hub: Arc<Hub>) {
     }
 }
 
-/// What a browser sends. Nothing here waits for what it reads.
+/// The receiver of a browser's requests. Nothing here waits for what it reads.
 struct Receiver<'a> {
     stream: SplitStream<WebSocket>,
     show: watch::Sender<Shown>,
@@ -115,15 +115,15 @@ impl Receiver<'_> {
 
     fn request(&mut self, text: &str) -> Result<(), End> {
         match serde_json::from_str(text) {
-            Ok(Request::Show(signals)) => drop(self.show.send_replace(Shown::new(signals))),
-            Ok(Request::Operate(request)) => self.operation.request(request).map_err(End::Misuse)?,
+            Ok(PageRequest::Show(signals)) => drop(self.show.send_replace(Shown::new(signals))),
+            Ok(PageRequest::Operate(request)) => self.operation.request(request).map_err(End::Misuse)?,
             Err(_) => return Err(End::Misuse("unknown message: reload the page")),
         }
         Ok(())
     }
 }
 
-/// What a browser gets.
+/// The sender to a browser.
 struct Sender<'a> {
     sink: &'a mut SplitSink<WebSocket, Message>,
     shown: watch::Receiver<Shown>,

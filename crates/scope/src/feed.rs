@@ -50,9 +50,9 @@ pub enum Update {
 /// The senders to all browsers.
 #[derive(Debug)]
 pub struct Feed {
-    /// What is new; a browser that is slow misses the oldest.
+    /// The updates; a browser that is slow misses the oldest.
     pub updates: broadcast::Sender<Update>,
-    /// What every browser has to know first: the machine, or that none runs.
+    /// The state that every browser has to know first: the machine, or that none runs.
     pub state: watch::Sender<Utf8Bytes>,
 }
 
@@ -100,7 +100,7 @@ struct Attached<'a> {
     assembler: Assembler,
     /// The newest cycle.
     cycle: CycleRecord,
-    /// What happened since the last message about it.
+    /// The events since the last message about them.
     events: Vec<Event>,
     status_at: Option<Instant>,
 }
@@ -135,17 +135,17 @@ impl<'a> Attached<'a> {
 
     /// Up to its end; says why that is.
     fn run(mut self, mut watched: Watched, end: &AtomicBool) -> String {
-        let mut heard = Instant::now();
+        let mut received_at = Instant::now();
         while !end.load(Ordering::Acquire) {
             match watched.part() {
                 Ok(Some(part)) => {
-                    heard = Instant::now();
+                    received_at = Instant::now();
                     match part {
                         Part::Records(records) => self.records(&records),
                         Part::News(news) => self.news(news),
                     }
                 }
-                Ok(None) if heard.elapsed() > PATIENCE => {
+                Ok(None) if received_at.elapsed() > PATIENCE => {
                     return format!("the master says nothing for {} s: is it stopped?", PATIENCE.as_secs());
                 }
                 Ok(None) => {}

@@ -16,13 +16,13 @@ use std::collections::BTreeSet;
 use super::samples::Block;
 use super::signals::axis_of;
 
-/// So many axes are shown cycle by cycle; of more, envelopes.
+/// The number of axes that are shown cycle by cycle; of more, envelopes.
 const MOST_WHOLE_AXES: usize = 4;
 
 /// The samples of an envelope in a second.
 const ENVELOPES_A_SECOND: f64 = 100.0;
 
-/// What a browser shows.
+/// The signals that a browser shows.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Shown {
     signals: Vec<usize>,

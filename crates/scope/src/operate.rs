@@ -18,7 +18,7 @@ pub struct Operation {
     control: Option<Arc<dyn Control>>,
     idle: Option<Operator>,
     under_way: Option<JoinHandle<(Option<Operator>, Value)>>,
-    /// What follows it.
+    /// The requests that follow it.
     waiting: VecDeque<Request>,
 }
 
@@ -71,7 +71,7 @@ impl Operation {
     }
 }
 
-/// What a request is answered, and the operator for the next one.
+/// The answer to a request, and the operator for the next one.
 fn ask(
     control: Option<Arc<dyn Control>>,
     idle: Option<Operator>,

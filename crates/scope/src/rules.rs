@@ -1,4 +1,4 @@
-//! Who is let in: whoever asks for this host by its own name or address, from a page of its own, and where others on
+//! Admission: requests that name this host by its own name or address, from a page of its own, and where others on
 //! the network can reach it, with the token of the printed address.
 //!
 //! The files of the page hold nothing of the machine, and are for everybody on that host. The machine is behind the
@@ -44,7 +44,7 @@ impl Rules {
         Ok(Rules { names, token })
     }
 
-    /// What the address of the page ends with.
+    /// The end of the page's address.
     pub fn fragment(&self) -> String {
         self.token.as_ref().map_or_else(String::new, |token| format!("#token={}", token.0))
     }

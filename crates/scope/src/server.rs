@@ -46,7 +46,7 @@ const MOST_CONNECTIONS: usize = 512;
 /// Updates that wait for a slow browser: with fifty batches a second those of two seconds.
 const ROOM: usize = 128;
 
-/// What the kernel keeps for a slow browser: a queue of megabytes would delay all that it shows.
+/// The bytes that the kernel keeps for a slow browser: a queue of megabytes would delay all that it shows.
 const SEND_BUFFER: usize = 256 << 10;
 
 /// A request has so long to arrive, and so long to be answered.
@@ -67,7 +67,7 @@ pub enum ScopeError {
     Bind {
         /// The address.
         address: SocketAddr,
-        /// What the operating system said.
+        /// The error of the operating system.
         error: io::Error,
     },
     /// No thread, or no runtime.
@@ -115,7 +115,8 @@ impl Endpoint {
         self.address
     }
 
-    /// What a browser opens; with the token, where one is required. All addresses of this computer go by its name.
+    /// The address that a browser opens; with the token, where one is required. All addresses of this computer go by
+    /// its name.
     pub fn url(&self) -> String {
         let fragment = self.rules.fragment();
         match host::name().filter(|_| self.address.ip().is_unspecified()) {
@@ -210,7 +211,7 @@ struct Connection {
     has_requested: Arc<AtomicBool>,
 }
 
-/// What a request comes by.
+/// The connection of a request.
 #[derive(Clone)]
 struct Origin {
     local: SocketAddr,

@@ -14,7 +14,7 @@ use fieldbeat_telemetry::signals::{
 pub struct Signal {
     /// The axis, in the order of the plan; `None` = the loop.
     pub axis: Option<usize>,
-    /// Its name.
+    /// The name.
     pub name: String,
     /// Of its values; empty for a plain number.
     pub unit: String,
@@ -26,7 +26,7 @@ impl Signal {
     }
 }
 
-/// So many signals the loop has: those of a cycle, and that of the reference.
+/// The number of signals of the loop: those of a cycle, and that of the reference.
 const OF_LOOP: usize = OF_CYCLE.len() + 1;
 
 /// Signals of an axis, with its monitored variables.
