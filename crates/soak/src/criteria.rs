@@ -15,11 +15,11 @@ use fieldbeat_telemetry::signals::{ROUND_TRIP, WAKE};
 /// One criterion.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Judged {
-    /// Its name, as its key is called.
+    /// The name, as its key is called.
     pub criterion: &'static str,
     /// The drive that it is about; null: the whole machine.
     pub drive: Option<String>,
-    /// What was found; null: it could not be.
+    /// The found value; null: it could not be found.
     pub value: Option<f64>,
     /// The most that is good.
     pub limit: f64,
@@ -27,7 +27,7 @@ pub struct Judged {
     pub unit: String,
     /// It is kept.
     pub passed: bool,
-    /// What else is to be known.
+    /// The remark.
     pub note: String,
 }
 
@@ -74,7 +74,7 @@ impl Judged {
         Judged { note: note.into(), ..self }
     }
 
-    /// Its name with the drive.
+    /// The name with the drive.
     pub fn name(&self) -> String {
         match &self.drive {
             Some(drive) => format!("{} of {drive}", self.criterion),
@@ -91,7 +91,7 @@ impl Judged {
         format!("{} {}", significant(value), self.unit).trim_end().to_owned()
     }
 
-    /// What it comes to, in one word.
+    /// The result in one word.
     pub fn word(&self) -> &'static str {
         match (self.passed, self.value) {
             (false, _) => "FAILED",

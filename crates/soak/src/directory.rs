@@ -48,7 +48,7 @@ pub enum DirectoryError {
     Unwritable {
         /// The directory.
         directory: PathBuf,
-        /// What the operating system said.
+        /// The error of the operating system.
         error: io::Error,
     },
     /// There is no test.
@@ -56,7 +56,7 @@ pub enum DirectoryError {
     Unread {
         /// The checkpoint.
         file: PathBuf,
-        /// What the operating system said.
+        /// The error of the operating system.
         error: io::Error,
     },
     /// The checkpoint is none.
@@ -64,7 +64,7 @@ pub enum DirectoryError {
     Damaged {
         /// The checkpoint.
         file: PathBuf,
-        /// What does not fit.
+        /// The part that does not fit.
         why: String,
     },
     /// It was made with another configuration.
@@ -107,7 +107,7 @@ impl Directory {
         let text = fs::read_to_string(&file)
             .map_err(|error| DirectoryError::Unread { file: file.clone(), error })?;
         let damaged = |why: String| DirectoryError::Damaged { file: file.clone(), why };
-        /// What every form has.
+        /// The fields that every form has.
         #[derive(Deserialize)]
         struct Form {
             format: u64,
@@ -156,7 +156,7 @@ impl Directory {
     }
 }
 
-/// What is to be written.
+/// The files to write.
 #[derive(Debug)]
 enum Work {
     Checkpoint(Box<Progress>),
@@ -170,10 +170,10 @@ pub struct Writer {
     results: Receiver<io::Result<()>>,
     thread: Option<JoinHandle<()>>,
     directory: Directory,
-    /// So many are under way, and since when none of them was finished.
+    /// The number of files under way, and since when none of them was finished.
     pending: u64,
     since: Instant,
-    /// So many could not be written.
+    /// The number of files that could not be written.
     lost: u64,
 }
 
@@ -207,7 +207,7 @@ impl Writer {
         })
     }
 
-    /// So many checkpoints could not be written since the last call.
+    /// The number of checkpoints that could not be written since the last call.
     pub fn take_lost(&mut self) -> u64 {
         std::mem::take(&mut self.lost)
     }

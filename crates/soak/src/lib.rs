@@ -74,8 +74,8 @@ impl Soak {
         self.movers.iter().all(Mover::has_ended)
     }
 
-    /// So many axes were given up in this process. A process that goes on has to know of each: a checkpoint is due when
-    /// there are more of them.
+    /// The number of axes that were given up in this process. A process that goes on has to know of each: a checkpoint
+    /// is due when there are more of them.
     pub fn given_up(&self) -> usize {
         self.movers.iter().filter(|mover| mover.given_up().is_some()).count()
     }

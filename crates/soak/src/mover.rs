@@ -17,7 +17,7 @@ const ENDLESS_S: f64 = 1e7;
 /// An axis whose drive is not online by then is given up, ns.
 const ONLINE_WITHIN_NS: u64 = 60 * S;
 
-/// What comes to its end takes no longer, ns.
+/// The longest time until a command that comes to its end has ended, ns.
 const END_WITHIN_NS: u64 = 20 * S;
 
 /// How the reason begins of an axis that was given up because it was stopped.
@@ -36,7 +36,7 @@ pub struct Mover {
     of_pause: Option<SilenceFaults>,
     /// One of them was reset, or is being reset.
     has_reset: bool,
-    /// What is worth a line.
+    /// The next line of the log.
     said: Option<String>,
     /// Why it no longer moves.
     given_up: Option<String>,
@@ -50,7 +50,7 @@ pub struct Mover {
 enum Phase {
     /// Not moved at all.
     Still,
-    /// Its drive is not online yet.
+    /// The drive is not online yet.
     Waiting {
         since: Option<u64>,
     },
@@ -65,7 +65,7 @@ enum Phase {
     Ended,
 }
 
-/// What follows a command.
+/// The next step after a command.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Next {
     /// Look at the drive again.
@@ -78,7 +78,7 @@ enum Next {
     End,
 }
 
-/// What the axes of a stop group see of one of them, or of all.
+/// The view that the axes of a stop group have of one of them, or of all.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Seen {
     /// It is online, or not waited for.
@@ -146,7 +146,7 @@ impl Mover {
         self.of_pause
     }
 
-    /// Its axis.
+    /// The axis.
     pub fn axis(&self) -> &Axis {
         &self.axis
     }
@@ -176,12 +176,12 @@ impl Mover {
         self.ending = true;
     }
 
-    /// Its stop group.
+    /// The stop group.
     pub fn group(&self) -> Option<u16> {
         self.axis.plan().stop.group
     }
 
-    /// What its stop group sees of it.
+    /// The view that its stop group has of it.
     pub fn seen(&self) -> Seen {
         let feedback = self.axis.feedback();
         let stands = |cause| match cause {
@@ -331,7 +331,7 @@ impl Mover {
         Ok(())
     }
 
-    /// What follows the command that was carried out.
+    /// Begins the step after the command that was carried out.
     fn begin(&mut self, next: Next, now: u64) -> Result<(), AxisError> {
         let axis = &mut self.axis;
         let homes = axis.lacks().homing.is_none() && !axis.feedback().status.homed;

@@ -63,7 +63,7 @@ impl Shuttle {
 pub struct Turning {
     velocities: Vec<f64>,
     hold_ns: u64,
-    /// Its jog, when that began, and when it was renewed.
+    /// The jog, when that began, and when it was renewed.
     jog: Option<(CommandId, u64)>,
     renewed: u64,
 }

@@ -29,7 +29,7 @@ pub struct Progress {
     pub axes: Vec<AxisProgress>,
     /// Checkpoints that could not be written.
     pub files_lost: u64,
-    /// What was measured; `None`: nothing yet.
+    /// The measurements; `None`: nothing yet.
     pub run: Option<Archive>,
 }
 
@@ -57,9 +57,9 @@ impl AxisProgress {
         self.given_up.as_ref().is_some_and(|why| why.starts_with(STOPPED))
     }
 
-    /// What does not count of a process, by its marks up to when the axis was enabled: a fault of these, which the
-    /// pause before has caused, or the one that has `stood` through it, with the stop by it, and stops by the group.
-    /// One by which the axis was given up counts.
+    /// The faults that do not count of a process, by its marks up to when the axis was enabled: a fault of these, which
+    /// the pause before has caused, or the one that has `stood` through it, with the stop by it, and stops by the
+    /// group. One by which the axis was given up counts.
     fn excuse(
         &mut self,
         is_of_pause: Option<SilenceFaults>,

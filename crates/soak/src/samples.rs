@@ -39,9 +39,9 @@ pub struct Process {
     pub seen_s: u64,
     /// Machine time at its begin, ns, of all the processes before.
     pub from_ns: u64,
-    /// Its own machine time so far, ns.
+    /// The own machine time so far, ns.
     pub ran_ns: u64,
-    /// Its samples, rising.
+    /// The samples, rising.
     pub samples: Vec<Sample>,
     /// Between two samples that are kept, ns; 0: all of them are. Of no use to another process.
     #[serde(skip)]

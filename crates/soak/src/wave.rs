@@ -31,7 +31,7 @@ impl Wave {
         Wave { swing, phase, fade_s, row_s, rows: (length_s / row_s).round() as u64, next: 0 }
     }
 
-    /// Its rows have not all been taken.
+    /// The rows have not all been taken.
     pub fn goes_on(&self) -> bool {
         self.next < self.rows
     }
@@ -47,7 +47,7 @@ impl Wave {
         }
     }
 
-    /// So many rows are queued at a time.
+    /// The number of rows that are queued at a time.
     pub fn depth(&self) -> usize {
         ((DEPTH_S / self.row_s) as usize).max(16)
     }

@@ -15,9 +15,9 @@ use fieldbeat_core::axis::{Axis, AxisPlan};
 /// A command, with its subcommands.
 #[derive(Clone, Copy, Debug)]
 pub struct Tool {
-    /// Its name.
+    /// The name.
     pub name: &'static str,
-    /// What it is for, in one sentence without its point.
+    /// The purpose, in one sentence without its point.
     pub about: &'static str,
     /// Adds its subcommands.
     pub subcommands: fn(Command) -> Command,
@@ -26,7 +26,7 @@ pub struct Tool {
 }
 
 impl Tool {
-    /// What clap knows of it.
+    /// The command of clap.
     pub fn command(&self) -> Command {
         let command = Command::new(self.name).subcommand_required(true).arg_required_else_help(true);
         (self.subcommands)(command).about(self.about)
@@ -117,19 +117,19 @@ pub trait Program {
     fn save(&self, path: &Path, bytes: &[u8]) -> io::Result<()>;
 }
 
-/// What is known of a wish before anything is sent: by the axis as configured, and by what its protocol is.
+/// The check of a wish before anything is sent: by the axis as configured, and by its protocol.
 pub type Check<'a> = &'a dyn Fn(&AxisPlan, &dyn Notation) -> Result<(), Stop>;
 
 /// A drive that can be reached.
 pub trait Reached {
-    /// Its name, its notation and the carrier of its calls.
+    /// The name, its notation and the carrier of its calls.
     fn access(&self) -> Access<'_>;
 }
 
 /// Lets a little time pass. An error: the drive is to be stopped.
 pub type Pause<'a> = &'a mut dyn FnMut() -> Result<(), Stop>;
 
-/// What is done with a drive.
+/// The work on a drive.
 pub type Task<'a> = &'a mut dyn FnMut(&mut Axis, Pause<'_>) -> Result<(), Stop>;
 
 /// A master with one drive, of which nothing was requested yet.

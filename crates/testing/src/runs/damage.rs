@@ -32,7 +32,7 @@ pub fn without_checksums(all: &mut [Raw]) {
     all.last_mut().unwrap().1[16..].fill(0);
 }
 
-/// What is changed, and the file. It has some chunks.
+/// The changes, and the changed file. It has some chunks.
 pub fn mutations(bytes: &[u8]) -> Vec<(String, Vec<u8>)> {
     let whole = split(bytes);
     assert_eq!(joined(&whole), bytes);
