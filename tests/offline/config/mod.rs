@@ -157,7 +157,7 @@ fn values_arrive_where_they_belong() {
 
 /// `==` before a section: the whole description; `=`: these lines of it in this order; else parts of it.
 #[test]
-fn a_plan_is_told_in_words() {
+fn a_plan_is_described_in_words() {
     let cases = rows(include_str!("words.txt"));
     assert!(cases.len() > 25);
     for (section, fragment, expected) in cases {

@@ -1,4 +1,4 @@
-//! Acyclic access: what is posted ends, in the cycle that goes on as if nothing was asked.
+//! Acyclic access: a posted call ends, and the cycle goes on as without one.
 
 use std::time::Duration;
 
@@ -32,7 +32,7 @@ pub fn a_value_that_was_written_is_read_back(subject: &'static dyn Subject) {
     let calls = subject.calls();
     let mut ticket = post(&mut m, 0, calls.read);
     let before = end(&mut m, &mut ticket, soon).unwrap();
-    assert_eq!(ticket.poll(), None, "told once");
+    assert_eq!(ticket.poll(), None, "reported once");
     assert_ne!(before.value, calls.write.value);
     let mut ticket = post(&mut m, 0, calls.write);
     end(&mut m, &mut ticket, soon).unwrap();
@@ -41,7 +41,7 @@ pub fn a_value_that_was_written_is_read_back(subject: &'static dyn Subject) {
     assert_eq!(values, [calls.write.value, before.value], "each drive its own");
 }
 
-pub fn what_the_drive_refuses_ends_with_its_status(subject: &'static dyn Subject) {
+pub fn a_call_refused_by_the_drive_ends_with_its_status(subject: &'static dyn Subject) {
     let soon = subject.calls().soon;
     let mut m = Machine::new(subject, 1, |_, _| ());
     m.online();
@@ -69,14 +69,14 @@ pub fn the_first_that_fails_ends_its_series(subject: &'static dyn Subject) {
     assert_eq!(ends[4], ends[0]);
 }
 
-pub fn a_drive_that_is_not_there_is_told_of_at_once(subject: &'static dyn Subject) {
+pub fn a_missing_drive_is_reported_at_once(subject: &'static dyn Subject) {
     let soon = subject.calls().soon;
     let mut m = Machine::new(subject, 2, |_, _| ());
     m.plug(0, false);
     m.until("the other is online", 2_000, |m| m.feedback(1).link == Link::Online);
     let calls = subject.calls();
     let mut ticket = post(&mut m, 0, calls.read);
-    // An absent drive is asked every 100 cycles only.
+    // An absent drive gets a request every 100 cycles only.
     assert_eq!(end(&mut m, &mut ticket, 2 * soon), Err(CallError::NotOnline));
     let mut ticket = post(&mut m, 1, calls.read);
     assert_eq!(end(&mut m, &mut ticket, soon).err(), None);
@@ -122,7 +122,7 @@ pub fn the_queue_is_bounded_and_nothing_in_it_is_lost(subject: &'static dyn Subj
     }
 }
 
-pub fn what_is_cancelled_ends_as_cancelled_and_lets_the_next_one_pass(subject: &'static dyn Subject) {
+pub fn a_cancelled_call_ends_as_cancelled_and_frees_the_queue(subject: &'static dyn Subject) {
     let soon = subject.calls().soon;
     let mut m = Machine::new(subject, 1, |_, drive| drive.axis.parameter_queue = 4);
     m.online();

@@ -11,14 +11,14 @@ use fieldbeat_core::rt::Clock;
 use crate::conformance::line::{LATENCY, Line, PERIOD, WINDOW, near_velocity};
 use crate::conformance::subject::{Subject, not_applicable};
 
-pub fn nothing_is_sent_for_a_slot_that_is_not_due(subject: &'static dyn Subject) {
+pub fn a_slot_that_is_not_due_sends_no_request(subject: &'static dyn Subject) {
     let mut line = Line::new(subject, 3);
     line.asleep[1] = true;
     line.turns(100);
     // What came before its connection was known has a name of its own.
     let counters = Counters { own: [0; OWN_COUNTERS], ..line.slots[1].counters };
-    assert_eq!(counters, Counters::default(), "never due, never asked");
-    assert!(line.can.shared || line.received(1) == 0, "never due, never asked");
+    assert_eq!(counters, Counters::default(), "never due, never requested");
+    assert!(line.can.shared || line.received(1) == 0, "never due, never requested");
     line.asleep[1] = false;
     line.ready();
     line.settle();
@@ -90,7 +90,7 @@ pub fn a_request_that_is_built_again_is_the_same_to_the_byte(subject: &'static d
     assert!(once == script(3), "prepare was called more than once for the same send");
 }
 
-pub fn only_the_order_that_stands_at_the_last_build_is_carried_out(subject: &'static dyn Subject) {
+pub fn only_the_command_of_the_last_build_is_carried_out(subject: &'static dyn Subject) {
     let mut line = Line::made_ready(subject, 1);
     let (before, distance) = (line.slots[0].status.demand, line.way(0, 0.1));
     for instead in [None, Some(Command::Stop { deceleration: None })] {
@@ -181,7 +181,7 @@ pub fn a_window_is_open_for_what_it_owes_and_for_nothing_else(subject: &'static 
     assert_eq!(open(&mut line, [false, true]), (true, later, true), "the silent one is not due");
 }
 
-pub fn what_is_still_owed_is_not_asked_again(subject: &'static dyn Subject) {
+pub fn an_exchange_still_owed_is_not_sent_again(subject: &'static dyn Subject) {
     let mut line = Line::new(subject, 1);
     line.online();
     if line.can.answers_after == 0 || line.can.half_duplex {
@@ -211,7 +211,7 @@ pub fn what_is_still_owed_is_not_asked_again(subject: &'static dyn Subject) {
     assert!(line.seen[0].answered());
 }
 
-pub fn what_is_not_answered_in_its_window_is_open_until_the_loop_calls_it_missed(
+pub fn an_exchange_without_reply_in_its_window_is_open_until_the_loop_marks_it_missed(
     subject: &'static dyn Subject,
 ) {
     let mut line = Line::new(subject, 1);
@@ -224,7 +224,7 @@ pub fn what_is_not_answered_in_its_window_is_open_until_the_loop_calls_it_missed
         assert!(line.exchange(0).missed());
         assert_eq!(line.slots[0].counters.missed, missed);
         if line.can.stream {
-            // The next one is asked on another connection.
+            // The next request goes out on another connection.
             line.mute(0, false);
             line.heal(0);
         }
@@ -233,7 +233,7 @@ pub fn what_is_not_answered_in_its_window_is_open_until_the_loop_calls_it_missed
     assert!(line.heal(0).answered());
 }
 
-pub fn a_flood_is_taken_in_by_bounded_bites(subject: &'static dyn Subject) {
+pub fn a_flood_is_received_in_bounded_parts(subject: &'static dyn Subject) {
     if subject.can().bytes {
         return not_applicable(subject, "a flood", "a wire has no room for one");
     }
@@ -279,7 +279,7 @@ fn assert_neighbour_untroubled(line: &Line, before: &Counters) {
     assert_eq!((after.missed, after.unsent), (before.missed, before.unsent), "its neighbour");
 }
 
-/// Whoever floods his own connection is heard in bounded bites, and nobody waits for him.
+/// A flood on one connection is received in bounded parts, and no other drive waits for it.
 fn a_flood_on_a_connection(mut line: Line) {
     const FLOOD: u64 = 300;
     const BITE: u64 = 64;
@@ -361,7 +361,7 @@ pub fn a_refused_send_opens_nothing_and_is_made_up_for(subject: &'static dyn Sub
     assert_neighbour_untroubled(&line, &Counters { unsent: neighbour.unsent + refused, ..neighbour });
 }
 
-pub fn a_request_that_the_wire_takes_in_pieces_is_heard_once_and_whole(subject: &'static dyn Subject) {
+pub fn a_request_sent_in_pieces_is_received_once_and_whole(subject: &'static dyn Subject) {
     let mut line = Line::made_ready(subject, 2);
     if !line.can.stream {
         return not_applicable(subject, "pieces of a request", "a datagram goes whole or not at all");

@@ -55,7 +55,7 @@ fn one_waits(line: &mut Line) -> usize {
     waits.expect("more are due than one window takes")
 }
 
-pub fn what_waits_for_its_turn_is_neither_unsent_nor_missed(subject: &'static dyn Subject) {
+pub fn a_queued_exchange_is_neither_unsent_nor_missed(subject: &'static dyn Subject) {
     if all_go_at_once(subject, "what waits for its turn") {
         return;
     }
@@ -104,7 +104,7 @@ pub fn a_request_that_waits_is_built_anew_until_it_leaves(subject: &'static dyn 
         line.turn_and_hear();
         let requests = line.requests(waits);
         let stops =
-            requests.len() == before + 1 && subject.asks_to_stop(&requests[..before], &requests[before]);
+            requests.len() == before + 1 && subject.requests_stop(&requests[..before], &requests[before]);
         assert!(stops, "{stop:?}: {:02x?}", &requests[before..]);
         assert_eq!(line.ended(waits), Ok(()));
     }

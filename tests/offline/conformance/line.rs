@@ -15,7 +15,7 @@ use fieldbeat_core::drive::machine::{Machine, NumberedRow};
 use fieldbeat_core::rt::{Clock, PollSet};
 use fieldbeat_sim::world::WorldClock;
 
-use crate::conformance::rules::{self, Around};
+use crate::conformance::rules::{self, SlotChange};
 use crate::conformance::subject::{Can, Drive, Said, Subject};
 use crate::conformance::wire::Wire;
 
@@ -187,7 +187,7 @@ impl Line {
         assert_eq!(self.wire.log().sends, sends, "nothing is sent while preparing");
         assert!(span.1.since(span.0) <= self.readings(), "preparing does not wait");
         for (before, after) in before.iter().zip(&self.slots) {
-            Around { before, after, span }.prepare();
+            SlotChange { before, after, span }.prepare();
         }
     }
 
@@ -199,7 +199,7 @@ impl Line {
         let span = (begin, self.world.now());
         assert!(span.1.since(span.0) <= self.readings(), "sending does not wait");
         for (before, after) in before.iter().zip(&self.slots) {
-            Around { before, after, span }.send(&cycle, &self.can);
+            SlotChange { before, after, span }.send(&cycle, &self.can);
         }
         self.note_sent(&before);
         self.accounts();
@@ -230,7 +230,7 @@ impl Line {
         let span = (begin, self.world.now());
         assert!(span.1.since(span.0) <= self.readings(), "polling does not wait");
         for (before, after) in before.iter().zip(&self.slots) {
-            Around { before, after, span }.poll(&cycle, &self.can);
+            SlotChange { before, after, span }.poll(&cycle, &self.can);
         }
         let left =
             self.slots.iter().zip(&before).filter(|(slot, b)| slot.counters.sent > b.counters.sent).count();
@@ -256,7 +256,7 @@ impl Line {
         assert!(span.1.since(span.0) <= self.readings(), "receiving does not wait");
         assert_eq!(self.wire.log().sends, sends, "nothing is sent while receiving");
         for (before, after) in before.iter().zip(&self.slots) {
-            Around { before, after, span }.receive(&self.can);
+            SlotChange { before, after, span }.receive(&self.can);
         }
         self.accounts();
         !self.owes()
@@ -409,14 +409,14 @@ impl Line {
         }
     }
 
-    /// One cycle, and long enough after it for what was sent to be heard.
+    /// One cycle, and long enough after it for requests to be received.
     pub fn turn_and_hear(&mut self) {
         self.turn();
         // A telegram takes the time of its bits.
         self.world.advance(if self.can.bytes { 10 * LATENCY } else { 2 * LATENCY });
     }
 
-    /// The drives have been heard of; those on a line are in operation there.
+    /// The drives have been seen; those on a line are in operation there.
     pub fn meet(&mut self) {
         if self.can.shared {
             self.online();
@@ -723,12 +723,12 @@ impl Line {
         if self.can.shared { log.frame.clone() } else { log.drives[index].reply() }
     }
 
-    /// How many requests the drive has heard.
+    /// The number of requests that the drive has received.
     pub fn received(&self, index: usize) -> usize {
         self.wire.log().drives[index].received.len()
     }
 
-    /// The requests that the drive has heard, byte for byte.
+    /// The requests that the drive has received, byte for byte.
     pub fn requests(&self, index: usize) -> Vec<Vec<u8>> {
         self.wire.log().drives[index].received.iter().map(|received| received.request.clone()).collect()
     }
@@ -769,7 +769,7 @@ pub fn by(drive: &Drive, seconds: f64) -> Command {
     Command::Move(Move { target: Target::Relative(profile.velocity * seconds), profile })
 }
 
-/// Verbs of each kind, as they may be asked of a drive that is ready.
+/// Commands of each kind, for a drive that is ready.
 pub fn commands(line: &Line, index: usize) -> Vec<Command> {
     vec![
         Command::Enable,

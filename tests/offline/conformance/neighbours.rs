@@ -46,7 +46,7 @@ fn unnoticed(subject: &'static dyn Subject, befall: impl Fn(&mut Line, u64)) {
         [1, 2].map(|index| {
             assert_eq!(line.end(index), Some(Ok(())), "drive {index}");
             let Counters { sent, answered, .. } = line.slots[index].counters;
-            // To the nanosecond it may have been asked at another time.
+            // To the nanosecond its request may have left at another time.
             let said = Said { at: None, ..line.said(index) };
             let mut counters = line.slots[index].counters;
             if line.can.bytes {

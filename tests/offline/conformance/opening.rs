@@ -8,7 +8,7 @@ use fieldbeat_core::rt::Regions;
 use crate::conformance::line::{GRID, Line, PERIOD, drives};
 use crate::conformance::subject::{Subject, not_applicable};
 
-pub fn a_plan_tells_of_its_drives_in_slot_order(subject: &'static dyn Subject) {
+pub fn a_plan_lists_its_drives_in_slot_order(subject: &'static dyn Subject) {
     let drives = drives(subject, 3, |index, drive| drive.axis.name = format!("n{}", 7 - index));
     let plan = subject.plan(&drives);
     let names: Vec<&str> = plan.axes().iter().map(|axis| axis.name.as_str()).collect();

@@ -1,4 +1,4 @@
-//! Orders: each ends, for its own serial, in what it asked for or by the name of what stood against it.
+//! Requests: each ends, for its own serial, as done or with the reason against it.
 
 use std::time::Duration;
 
@@ -95,7 +95,7 @@ pub fn each_verb_ends_in_what_it_says(subject: &'static dyn Subject) {
     line.online();
     line.done(0, Command::Enable);
     assert_eq!((line.state(0), line.said(0).powered), (State::OperationEnabled, true));
-    assert!(!line.said(1).powered, "its neighbour was not asked");
+    assert!(!line.said(1).powered, "its neighbour got no request");
     if line.can.home {
         line.done(0, Command::Home);
         assert!(line.slots[0].status.homed && line.said(0).homed != Some(false));
@@ -132,7 +132,7 @@ pub fn each_verb_ends_in_what_it_says(subject: &'static dyn Subject) {
     line.done(0, Command::Disable);
 }
 
-pub fn an_order_is_carried_out_once_and_its_end_stays_told(subject: &'static dyn Subject) {
+pub fn a_command_is_carried_out_once_and_its_end_stays_reported(subject: &'static dyn Subject) {
     let mut line = Line::made_ready(subject, 1);
     let (at, way, command) = (line.slots[0].status.demand, line.way(0, 0.05), line.by(0, 0.05));
     for n in 1..=20 {
@@ -242,7 +242,7 @@ fn a_new_jog_replaces_the_one_before_it(mut line: Line) {
     turns_at(&mut line, 1.0);
 }
 
-pub fn what_it_cannot_do_is_refused_by_name_at_once(subject: &'static dyn Subject) {
+pub fn unsupported_commands_are_refused_by_name_at_once(subject: &'static dyn Subject) {
     let mut line = Line::with(subject, 1, |_, drive| (drive.jog, drive.follow) = (false, false));
     line.ready();
     let acceleration = line.profile(0).acceleration;
@@ -358,7 +358,7 @@ pub fn a_stop_ends_at_standstill_however_fast_the_motion_was(subject: &'static d
     }
 }
 
-pub fn a_stop_ramps_down_as_fast_as_it_was_told(subject: &'static dyn Subject) {
+pub fn a_stop_ramps_down_with_the_given_deceleration(subject: &'static dyn Subject) {
     for part in [1.0, 0.5, 4.0] {
         let mut line = Line::made_ready(subject, 1);
         line.set_going(0, line.motion());
@@ -404,7 +404,7 @@ pub fn an_enable_that_is_stopped_half_way_does_not_go_on_by_itself(subject: &'st
     }
 }
 
-pub fn an_order_is_not_done_by_what_was_heard_before_the_one_it_replaces(subject: &'static dyn Subject) {
+pub fn a_command_is_not_done_by_reports_from_before_the_one_it_replaces(subject: &'static dyn Subject) {
     // The drive did the first, but its answer was lost: what is known of it is of before.
     for (first, second, powered) in [
         (Command::Disable, Command::Enable, true),
@@ -442,7 +442,7 @@ pub fn a_stop_behind_a_disable_that_never_arrived_ends_at_standstill(subject: &'
         line.turns(4);
         line.order(0, stop);
         line.turns(4);
-        assert!(line.said(0).moving && line.end(0) != Some(Ok(())), "nothing of it was heard");
+        assert!(line.said(0).moving && line.end(0) != Some(Ok(())), "no reply was received");
         line.plug(0, true);
         assert_eq!(line.ended(0), Ok(()), "{stop:?}");
         assert!(!line.said(0).moving, "{stop:?} is done");
@@ -561,7 +561,7 @@ pub fn a_velocity_is_followed_wherever_it_goes(subject: &'static dyn Subject) {
     line.done(0, STOP);
 }
 
-pub fn what_the_door_cannot_see_keeps_to_the_position_limits_all_the_same(subject: &'static dyn Subject) {
+pub fn commands_not_checked_on_submission_keep_to_the_position_limits(subject: &'static dyn Subject) {
     // Where a relative move or a jog leads, only the bus knows.
     let mut line = Line::with(subject, 2, |index, drive| {
         backwards(index, drive);
@@ -635,8 +635,8 @@ pub fn orders_survive_exchanges_that_are_missed(subject: &'static dyn Subject) {
     }
 }
 
-pub fn a_stop_reaches_a_drive_that_is_not_heard(subject: &'static dyn Subject) {
-    // Only its replies are lost. The link is lost by then, and what is asked carries the order all the same.
+pub fn a_stop_reaches_a_drive_whose_replies_are_lost(subject: &'static dyn Subject) {
+    // Only its replies are lost. The link is lost by then, and requests carry the command all the same.
     for stop in [STOP, Command::QuickStop] {
         let mut line = Line::made_ready(subject, 1);
         line.set_going(0, line.motion());
@@ -652,7 +652,7 @@ pub fn a_stop_reaches_a_drive_that_is_not_heard(subject: &'static dyn Subject) {
         line.turns(4 * u64::from(line.drives[0].axis.divisor));
         let requests = line.requests(0);
         let requested =
-            (received..requests.len()).find(|n| subject.asks_to_stop(&requests[..*n], &requests[*n]));
+            (received..requests.len()).find(|n| subject.requests_stop(&requests[..*n], &requests[*n]));
         assert!(requested.is_some(), "{stop:?} is not on the wire");
         line.turns(400);
         assert!(stream || !line.said(0).moving, "{stop:?}");
@@ -678,8 +678,8 @@ pub fn the_request_after_an_order_carries_it(subject: &'static dyn Subject) {
             line.order(0, stop);
             line.turn_and_hear();
             let (before, requests) = (line.requests(0), line.requests(0).split_off(received));
-            let asks = requests.len() == 1 && subject.asks_to_stop(&before[..received], &requests[0]);
-            assert!(asks, "{stop:?}: {requests:02x?}");
+            let is_stop = requests.len() == 1 && subject.requests_stop(&before[..received], &requests[0]);
+            assert!(is_stop, "{stop:?}: {requests:02x?}");
             line.done(0, STOP);
         }
     }
@@ -816,7 +816,7 @@ pub fn slots_that_are_passed_over_lose_no_order_and_no_row(subject: &'static dyn
     }
 }
 
-pub fn whatever_is_asked_in_whatever_state_ends_or_goes_on(subject: &'static dyn Subject) {
+pub fn every_command_in_every_state_ends_or_goes_on(subject: &'static dyn Subject) {
     // From each state and motion, each command: an end, or a motion that a stop ends.
     for seed in 0..2 {
         let mut line = Line::new(subject, 2);

@@ -74,7 +74,7 @@ pub fn only_the_newest_of_several_packets_counts(subject: &'static dyn Subject) 
     assert_eq!(fresh, 1, "once, whatever came");
     let said = subject.said(None, &[], &newest).expect("a packet says where the drive is");
     let (report, units) = (&line.slots[0].status, line.drives[0].axis.units);
-    assert!(rules::is_as_told(report, said, &units), "{report:?}, {said:?}");
+    assert!(rules::matches_report(report, said, &units), "{report:?}, {said:?}");
     let c = line.slots[0].counters;
     let expected = Counters { late: before.late + 1, duplicate: before.duplicate + 1, ..before };
     assert_eq!(Counters { sent: before.sent, answered: before.answered, ..c }, expected);

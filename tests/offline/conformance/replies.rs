@@ -174,15 +174,15 @@ pub fn a_late_reply_that_comes_first_in_the_next_window_is_not_taken_for_the_new
     assert_eq!((c.missed, c.late, c.duplicate, c.foreign), (1, 1, again, 0));
 }
 
-pub fn a_late_reply_that_comes_with_the_one_asked_for_leaves_the_newer_values(subject: &'static dyn Subject) {
+pub fn a_late_reply_next_to_the_requested_one_keeps_the_newer_values(subject: &'static dyn Subject) {
     if nothing_replies(subject, "a late reply with the expected one") {
         return;
     }
     if subject.can().half_duplex {
         return not_applicable(subject, "a late reply with the expected one", "one is on the wire at a time");
     }
-    // Another drive keeps the window open for both. Where one frame is for all, the late one comes behind the one asked
-    // for, whose values stand.
+    // Another drive keeps the window open for both. Where one frame is for all, the late one comes behind the
+    // requested one, whose values stand.
     let mut line = moving(subject, 2);
     line.answer_at(1, 200 * US);
     let before = line.slots[0].counters;
@@ -272,7 +272,8 @@ pub fn a_reply_of_before_that_comes_again_moves_nothing(subject: &'static dyn Su
     if subject.malformed(&line.reply(0)).is_empty() {
         return not_applicable(subject, "a reply that comes again", "it names none");
     }
-    // Another drive keeps the window open. Before the true reply, only what names its request can be told from it.
+    // Another drive keeps the window open. Before the true reply, only a reply that names its request can be
+    // distinguished.
     if !line.can.shared && !line.can.half_duplex {
         line.answer_at(1, 200 * US);
     }
@@ -375,7 +376,7 @@ fn only_counted(
     !telegrams.is_empty()
 }
 
-pub fn what_is_no_answer_of_this_protocol_is_malformed(subject: &'static dyn Subject) {
+pub fn a_reply_of_no_known_form_is_malformed(subject: &'static dyn Subject) {
     let telegrams = |line: &Line| subject.malformed(&line.reply(0));
     let malformed = Counters { malformed: 1, ..Counters::default() };
     if !only_counted(subject, telegrams, |drive| drive, malformed, 0) {
@@ -383,7 +384,7 @@ pub fn what_is_no_answer_of_this_protocol_is_malformed(subject: &'static dyn Sub
     }
 }
 
-pub fn the_answer_to_something_that_was_not_asked_is_foreign(subject: &'static dyn Subject) {
+pub fn an_answer_without_request_is_foreign(subject: &'static dyn Subject) {
     let telegrams = |line: &Line| subject.foreign(&line.reply(0));
     let foreign = Counters { foreign: 1, ..Counters::default() };
     if !only_counted(subject, telegrams, |drive| drive, foreign, 0) {
@@ -391,7 +392,7 @@ pub fn the_answer_to_something_that_was_not_asked_is_foreign(subject: &'static d
     }
 }
 
-pub fn what_went_round_without_passing_the_master_answers_nothing(subject: &'static dyn Subject) {
+pub fn a_frame_that_circulated_is_no_answer(subject: &'static dyn Subject) {
     let mut line = moving(subject, 2);
     line.settle();
     if subject.circulated(&line.reply(0)).is_none() {
@@ -437,7 +438,7 @@ pub fn a_true_answer_from_a_wrong_port_is_foreign(subject: &'static dyn Subject)
     assert_eq!((c.missed, c.foreign, c.duplicate, c.late, c.malformed), (5, 5, 0, 0, 0));
 }
 
-pub fn what_comes_from_no_drive_of_its_own_is_a_strangers(subject: &'static dyn Subject) {
+pub fn a_telegram_of_an_unknown_sender_is_foreign(subject: &'static dyn Subject) {
     // Even if it is the very reply that is waited for.
     let telegrams = |line: &Line| match line.can.stream {
         true => Vec::new(),
@@ -450,12 +451,12 @@ pub fn what_comes_from_no_drive_of_its_own_is_a_strangers(subject: &'static dyn 
     }
 }
 
-pub fn no_bytes_whatever_upset_it(subject: &'static dyn Subject) {
+pub fn no_bytes_cause_a_panic(subject: &'static dyn Subject) {
     let mut line = moving(subject, 2);
     if subject.malformed(&line.reply(0)).is_empty() {
         return not_applicable(subject, "arbitrary bytes", "it names none");
     }
-    // What is broken in its values only cannot be told from a true one.
+    // A reply that is wrong in its values only cannot be distinguished from a true one.
     line.honest = false;
     let mut random = fastrand::Rng::with_seed(11);
     let from = line.wire.address(0);
@@ -492,7 +493,7 @@ pub fn no_bytes_whatever_upset_it(subject: &'static dyn Subject) {
     expect_clean(&mut line, 0);
 }
 
-pub fn the_accounts_hold_in_any_weather(subject: &'static dyn Subject) {
+pub fn the_counters_add_up_under_random_faults(subject: &'static dyn Subject) {
     // The referee counts after every call: telegrams, exchanges, unmatched.
     let mut odd = 0;
     for seed in 0..4 {

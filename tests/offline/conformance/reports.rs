@@ -4,7 +4,7 @@ use fieldbeat::axis::{Command, DriveStatus, Units};
 use fieldbeat_core::bus::Slot;
 
 use crate::conformance::line::Line;
-use crate::conformance::rules::{is_as_told, near};
+use crate::conformance::rules::{matches_report, near};
 use crate::conformance::subject::{Drive, Subject, not_applicable};
 
 /// The drive's own units, another scale, another zero, another direction.
@@ -30,7 +30,7 @@ fn varied(subject: &'static dyn Subject) -> Line {
 fn assert_as_said(line: &Line, index: usize) {
     let (report, said) = (&line.slots[index].status, line.said(index));
     let units = line.drives[index].axis.units;
-    assert!(is_as_told(report, said, &units), "drive {index}: {report:?}, {said:?}");
+    assert!(matches_report(report, said, &units), "drive {index}: {report:?}, {said:?}");
     assert_eq!(report.moving, said.moving, "drive {index}: {:?}", report.state);
     assert!(said.homed.is_none_or(|homed| homed == report.homed), "drive {index}: {:?}", report.state);
     // Where the power comes and goes with the motion, what is enabled may have none, but nothing has it unseen.
@@ -139,7 +139,7 @@ pub fn a_restart_is_noticed_once_and_what_was_known_is_forgotten(subject: &'stat
     let cruise = line.profile(0).velocity;
     for silent in [0, 20] {
         line.restart(0);
-        // Heard of at once, or in the middle of its start.
+        // Reported at once, or in the middle of its start.
         line.mute(0, true);
         line.turns(silent);
         line.mute(0, false);
@@ -159,7 +159,7 @@ pub fn a_restart_is_noticed_once_and_what_was_known_is_forgotten(subject: &'stat
                 );
             }
         }
-        // On a connection that was opened anew nothing tells why the one before has ended.
+        // On a connection that was opened anew nothing says why the one before has ended.
         assert_eq!(noticed, u32::from(!line.can.sessions), "silent for {silent} cycles");
         let Slot { status: report, .. } = &line.slots[0];
         assert!(!report.state.is_powered() && !report.moving, "{report:?}");

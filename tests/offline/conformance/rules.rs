@@ -11,14 +11,14 @@ use crate::conformance::subject::{Can, Drive, Said};
 use crate::conformance::wire::Tape;
 
 /// One drive's slot around a call: the slot before it and behind it.
-pub struct Around<'a> {
+pub struct SlotChange<'a> {
     pub before: &'a Slot,
     pub after: &'a Slot,
     /// Virtual time before the call and behind it.
     pub span: (Time, Time),
 }
 
-impl Around<'_> {
+impl SlotChange<'_> {
     /// What the loop writes is the loop's.
     fn keeps_the_loops(&self) {
         let loops = |slot: &Slot| (slot.due, slot.guarded, slot.link, slot.desired);
@@ -204,13 +204,13 @@ pub fn accounts(slot: &Slot, tape: &Tape, can: &Can) {
     let owed = u64::from(open);
     assert_eq!(c.sent, c.answered + c.missed + owed, "sent = answered + missed + owed: {c:?}");
     let answers = if can.own_clock { 0 } else { c.answered };
-    let told = answers + c.late + c.duplicate + c.malformed + c.foreign;
+    let said = answers + c.late + c.duplicate + c.malformed + c.foreign;
     match can.shared || can.own_clock {
         // What is late or broken counts for whoever has the turn.
         _ if can.bytes => {}
         // A frame without an exchange is not counted, nor is a packet that answers nothing.
-        true => assert!(told <= tape.taken, "of {} frames each is counted once at most: {c:?}", tape.taken),
-        false => assert_eq!(tape.taken, told, "telegrams from the drive = all they are counted as: {c:?}"),
+        true => assert!(said <= tape.taken, "of {} frames each is counted once at most: {c:?}", tape.taken),
+        false => assert_eq!(tape.taken, said, "telegrams from the drive = all they are counted as: {c:?}"),
     }
     assert!(c.suspect <= c.answered, "{c:?}");
 }
@@ -224,7 +224,7 @@ pub fn honest(slot: &Slot, tape: &Tape, drive: &Drive, can: &Can, since: Time) {
     if !tape.packets.is_empty() {
         let mut newer = tape.packets.iter().rev().take_while(|packet| packet.at >= since);
         let given =
-            newer.any(|packet| packet.said.is_some_and(|said| is_as_told(&slot.status, said, &units)));
+            newer.any(|packet| packet.said.is_some_and(|said| matches_report(&slot.status, said, &units)));
         assert!(given, "reported as new, but not said since {since}: {:?}", slot.status);
         return;
     }
@@ -233,23 +233,23 @@ pub fn honest(slot: &Slot, tape: &Tape, drive: &Drive, can: &Can, since: Time) {
     let newer = tape.received.iter().rev().take_while(|received| received.at >= since).count();
     let recent = tape.received.iter().rev().take(newer + before);
     let mut given = recent.filter_map(|received| received.reported);
-    let given = given.any(|told| is_as_told(&slot.status, told, &units))
+    let given = given.any(|said| matches_report(&slot.status, said, &units))
         || tape.received.iter().all(|received| received.reported.is_none());
     assert!(given, "reported as new, but not said since {since}: {:?}", slot.status);
 }
 
-/// Position, demand and velocity are as the drive told them, in its units.
-pub fn is_as_told(report: &DriveStatus, told: Said, units: &Units) -> bool {
+/// Position, demand and velocity are as the drive reported them, in its units.
+pub fn matches_report(report: &DriveStatus, said: Said, units: &Units) -> bool {
     let at = |position: Option<i64>, reported| match position {
         Some(position) => near(units.position(position), reported),
         None => reported.is_nan(),
     };
-    at(told.position, report.position)
-        && (at(told.demand, report.demand)
-            || told.setpoint.is_some_and(|own| {
-                near(units.position(own), report.demand) || at(told.position, report.demand)
+    at(said.position, report.position)
+        && (at(said.demand, report.demand)
+            || said.setpoint.is_some_and(|own| {
+                near(units.position(own), report.demand) || at(said.position, report.demand)
             }))
-        && told.velocity.is_none_or(|velocity| near(units.distance(velocity), report.velocity))
+        && said.velocity.is_none_or(|velocity| near(units.distance(velocity), report.velocity))
 }
 
 /// Equal but for the last digits.

@@ -103,8 +103,8 @@ pub trait Subject: Sync {
     /// Brings about the fault of [`fault`](Self::fault) in a drive on a serial wire.
     fn provoke_slave(&self, _drive: &mut dyn SimSerial) {}
 
-    /// Whether this request, behind those `before` it, tells the drive to stop: along a ramp, or by its quick stop.
-    fn asks_to_stop(&self, before: &[Vec<u8>], request: &[u8]) -> bool;
+    /// Whether this request, behind those `before` it, requests a stop: along a ramp, or by its quick stop.
+    fn requests_stop(&self, before: &[Vec<u8>], request: &[u8]) -> bool;
 
     /// What another master could send to a drive in operation, whose last answer is `reply`, so that it goes into a
     /// fault that can be acknowledged. `None`: nothing that comes over the wire does that.
@@ -118,14 +118,14 @@ pub trait Subject: Sync {
         None
     }
 
-    /// Well-formed answers to something that was not asked, made from a true one.
+    /// Well-formed answers to a request that was not made, made from a true one.
     fn foreign(&self, reply: &[u8]) -> Vec<Vec<u8>>;
 }
 
 /// What a protocol can do by nature. What it cannot do, the clauses want refused by name.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Can {
-    /// It takes positions, and tells them. Without, it takes jogs, and tells its velocity.
+    /// It takes positions, and reports them. Without, it takes jogs, and reports its velocity.
     pub positions: bool,
     /// `Command::Home`; without it the drive knows where it is from the start.
     pub home: bool,
@@ -147,14 +147,14 @@ pub struct Can {
     pub whole: bool,
     /// The window of a request stays open for its reply, although that may come later.
     pub awaits: bool,
-    /// Each drive has a connection. One request is open on it: before its reply nothing else is asked, and one that
+    /// Each drive has a connection. One request is open on it: before its reply nothing else is requested, and one that
     /// never comes costs the connection, which is opened anew after a pause.
     pub stream: bool,
     /// Each drive sends by its own clock, and is sent requests at the agreed rate: a packet answers nothing. One may be
     /// the newest for several exchanges, and several may come between two.
     pub own_clock: bool,
     /// The packets of each drive go on a connection that a session outside the loop has opened: it ends with the
-    /// packets, and is opened anew after a pause. Nothing in a packet tells that its drive was switched off meanwhile:
+    /// packets, and is opened anew after a pause. Nothing in a packet shows that its drive was switched off meanwhile:
     /// what was known of it ends with the connection.
     pub sessions: bool,
     /// A stop has the ramp of the motion that it ends, if that is steeper than its own, or the steepest one.
@@ -165,8 +165,8 @@ pub struct Can {
     /// counted by whoever had the turn.
     pub bytes: bool,
     /// One frame goes through all drives in every cycle, whoever is due in it, and comes back in its window: each drive
-    /// has a piece of it. What befalls it befalls all of them. Before a drive is in operation on its line it is not
-    /// asked.
+    /// has a piece of it. What befalls it befalls all of them. Before a drive is in operation on its line it gets
+    /// no request.
     pub shared: bool,
     /// To bring it up takes its power: it is never found running.
     pub comes_up_off: bool,
@@ -218,7 +218,7 @@ pub struct Said {
     pub moving: bool,
     /// Its position is referenced; `None`: its answers say nothing of that.
     pub homed: Option<bool>,
-    /// Actual position, counts, of a drive that tells positions.
+    /// Actual position, counts, of a drive that reports positions.
     pub position: Option<i64>,
     /// Demand position, counts, of the same.
     pub demand: Option<i64>,
@@ -227,7 +227,7 @@ pub struct Said {
     pub setpoint: Option<i64>,
     /// When, if that is a part of the answer.
     pub at: Option<Time>,
-    /// Velocity, counts/s, of a drive that tells it.
+    /// Velocity, counts/s, of a drive that reports it.
     pub velocity: Option<f64>,
 }
 

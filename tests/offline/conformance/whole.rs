@@ -53,7 +53,7 @@ fn answers_in_a_row(mut m: Machine, gate: u64) {
     assert_eq!(m.feedback(0).link, Link::Online);
 }
 
-pub fn the_unseen_and_the_lost_are_asked_once_a_probe_interval(subject: &'static dyn Subject) {
+pub fn unseen_and_lost_drives_are_probed_once_per_interval(subject: &'static dyn Subject) {
     let interval = 40;
     let health = Health { probe_interval: Duration::from_millis(interval), ..Health::default() };
     let mut m = Machine::new(subject, 3, |_, drive| drive.axis.health = health);
@@ -71,7 +71,7 @@ pub fn the_unseen_and_the_lost_are_asked_once_a_probe_interval(subject: &'static
         assert!(requested.windows(2).all(|pair| pair[1] - pair[0] >= interval), "{requested:?}");
         requested.len()
     };
-    // Who has no connection cannot even be asked.
+    // A drive without a connection gets no requests.
     let requested = if m.can.stream || m.can.bytes { 0..=0 } else { 24..=26 };
     assert!(shared || requested.contains(&rarely(&m, 0)));
     m.mute(1, false);
@@ -107,7 +107,7 @@ pub fn the_stop_request_is_on_the_wire_within_its_bound(subject: &'static dyn Su
         (4, 1, 2, StopHow::Quick),
     ] {
         let every = divisor * (1 + subject.can().answers_after);
-        // On a line nobody is silent alone and hears.
+        // On a line no drive is silent alone and receives.
         // More than a half-duplex wire takes in one window.
         let count = match subject.can() {
             Can { shared: true, .. } => 1,
@@ -135,7 +135,7 @@ pub fn the_stop_request_is_on_the_wire_within_its_bound(subject: &'static dyn Su
         m.run(bound + 50);
         let requests: Vec<_> =
             m.tape(0, |tape| tape.received.iter().map(|received| received.request.clone()).collect());
-        let stop = (received..requests.len()).find(|n| subject.asks_to_stop(&requests[..*n], &requests[*n]));
+        let stop = (received..requests.len()).find(|n| subject.requests_stop(&requests[..*n], &requests[*n]));
         let stop = stop.map(|n| n - received);
         let stop = stop.unwrap_or_else(|| panic!("no stop request: {how:?}"));
         let lost = m.asked_in(0, received)[stop] - last_good;
@@ -144,7 +144,7 @@ pub fn the_stop_request_is_on_the_wire_within_its_bound(subject: &'static dyn Su
         assert!(stop as u64 >= u64::from(bucket), "too soon: {what}");
         assert_eq!(m.feedback(0).stopped, Some(StopCause::LinkLost));
         assert_eq!(m.outcome(0, ids[0]), Some(Outcome::Aborted(Abort::Stopped(StopCause::LinkLost))));
-        // It heard the stop, and stands.
+        // It received the stop, and stands.
         m.until("standstill", 1_000, |m| m.tape(0, |tape| !tape.said().moving));
         let neighbour =
             (1..count).all(|index| m.feedback(index).stopped.is_none() && m.feedback(index).status.moving);
@@ -212,7 +212,7 @@ pub fn one_lost_drive_leaves_the_others_untouched(subject: &'static dyn Subject)
         // Before there was a connection, the first look may have met none.
         let unsent = match m.can {
             Can { stream: true, .. } | Can { sessions: true, .. } => c.unsent.saturating_sub(1),
-            // And before a line was up, nobody could be asked.
+            // And before a line was up, no request could leave.
             Can { shared: true, .. } | Can { bytes: true, .. } => 0,
             _ => c.unsent,
         };
@@ -256,7 +256,7 @@ pub fn a_lost_drive_comes_back_by_the_application_only_and_homed_is_read_again(
         m.done(0, Command::Enable);
         let said = m.tape(0, |tape| tape.said().homed);
         assert!(said.is_none_or(|homed| homed == m.feedback(0).status.homed));
-        // Where nothing tells that it was not restarted, its reference is open.
+        // Where nothing shows that it was not restarted, its reference is open.
         if (restarted || m.can.sessions) && m.can.home && m.can.positions {
             let command = m.by(0, 0.05);
             assert_eq!(m.failed(0, command), Failure::NotHomed);
@@ -491,7 +491,7 @@ pub fn the_same_seed_is_the_same_run_to_the_byte(subject: &'static dyn Subject) 
     assert_ne!(one.digest, storm(subject, 2, None).digest, "the digest sees what goes over the wire");
 }
 
-pub fn what_is_built_and_does_not_leave_has_no_effect(subject: &'static dyn Subject) {
+pub fn a_prepared_request_that_does_not_leave_has_no_effect(subject: &'static dyn Subject) {
     // So each request is built again, too, and is the same to the byte.
     for seed in 1..4 {
         let (plain, proposing) = (storm(subject, seed, None), storm(subject, seed, Some(seed)));

@@ -1,5 +1,6 @@
 //! What goes over the wire, written down on its way: drives and carriers that tell what passed through them, and that
-//! misbehave where the world's faults cannot (a drive that hears and acts but is not heard, a refused send).
+//! misbehave where the world's faults cannot (a drive that receives and acts but whose replies are lost, a refused
+//! send).
 
 mod serial;
 
@@ -27,7 +28,7 @@ use crate::proposing::Proposing;
 /// ENOBUFS: what a full send buffer answers.
 const NO_BUFFER: i32 = 105;
 
-/// One request as its drive heard it.
+/// One request as its drive received it.
 #[derive(Clone, Debug)]
 pub struct Delivery {
     pub at: Time,
@@ -59,8 +60,8 @@ pub struct Tape {
     pub packets: Vec<Packet>,
     /// What it last sent by its own clock, lost or not.
     pub latest: Option<Said>,
-    /// Hears and acts, but its answers are lost. On a line that is so if all of them are mute, and the frames do not
-    /// come back; a single one hears nothing.
+    /// Receives and acts, but its answers are lost. On a line that is so if all of them are mute, and the frames do not
+    /// come back; a single one receives nothing.
     pub mute: bool,
     /// Of a line: it is not there.
     pub unplugged: bool,
@@ -335,7 +336,7 @@ impl TappedLine {
         }
     }
 
-    /// What the frame has brought to each drive, and what it said; `comes_back`: the master is told.
+    /// What the frame has brought to each drive, and what it said; `comes_back`: the frame comes back.
     fn write_down(&mut self, now: Time, frame: &[u8], comes_back: bool) {
         let Wire { subject, log, .. } = &self.wire;
         let mut log = log.lock().unwrap();

@@ -61,7 +61,7 @@ fn keep_busy(
 }
 
 #[test]
-fn every_value_is_that_of_its_own_drive_and_parameter_in_any_weather() {
+fn every_value_is_that_of_its_own_drive_and_parameter_under_random_faults() {
     for seed in 0..12 {
         let weather = FaultPlan {
             seed,
@@ -102,7 +102,7 @@ fn every_value_is_that_of_its_own_drive_and_parameter_in_any_weather() {
 }
 
 #[test]
-fn what_was_written_and_answered_stands_in_the_drive() {
+fn an_answered_write_is_stored_in_the_drive() {
     for seed in 0..8 {
         let mut b =
             patient(Rig::new(2).faults(FaultPlan { seed, drop: 0.05, ..FaultPlan::default() })).online();
@@ -164,7 +164,7 @@ fn an_application_that_uses_the_channel_natively_ends_the_call_under_way() {
 }
 
 #[test]
-fn monitored_variables_are_in_the_feedback_in_their_units_or_raw_and_a_refused_one_is_told_of_once() {
+fn monitored_variables_are_in_the_feedback_in_their_units_or_raw_and_a_refused_one_is_reported_once() {
     let sources = [Some(Upid(0x1E0E)), None, Some(Upid(0x1BCD)), Some(Upid(0x1E0F))];
     // One that the drive does not have, one of unknown meaning, and the temperature of the motor.
     let others = [Some(Upid(0x9999)), Some(Upid(0x1B8D)), Some(Upid(0x1BF3)), None];
@@ -190,15 +190,15 @@ fn monitored_variables_are_in_the_feedback_in_their_units_or_raw_and_a_refused_o
     };
     let reported: Vec<_> = b.kinds(1).iter().filter_map(refused).collect();
     assert_eq!(reported, [(0, Refusal::OutOfRange.code().into())], "once");
-    // A drive that was restarted has forgotten, and is told again.
+    // A drive that was restarted has forgotten, and is written again.
     b.world().restart(address(0));
     b.until("it has forgotten", 200, |b| b.feedback(0).status.monitor == [None; 4]);
-    b.until("it is told again", 2_000, |b| b.feedback(0).status.monitor[2] == Some(40.0));
+    b.until("it is written again", 2_000, |b| b.feedback(0).status.monitor[2] == Some(40.0));
     assert_eq!(b.feedback(0).link, Link::Online);
 }
 
 #[test]
-fn whatever_is_set_in_the_drive_is_shown_raw_and_not_touched() {
+fn any_monitored_variable_set_in_the_drive_is_shown_raw_and_kept() {
     let mut b = Rig::new(1).each(|_, drive| drive.monitor = MonitorPlan::AsSet).online();
     b.run(10);
     // The status word of a drive that is switched off, on its fourth channel by default.

@@ -74,7 +74,7 @@ fn a_call_that_ends_with_the_stop_group_names_the_axis_that_began_it() {
 
 /// The task of the loop is between the events of a lost link and the feedback of their cycle, and takes its time here.
 #[test]
-fn what_ended_a_call_is_in_the_feedback_when_it_returns() {
+fn feedback_has_the_reason_when_a_blocking_call_returns() {
     let setup = setup().with_task(|_, _| std::thread::sleep(Duration::from_millis(2)));
     let machine = setup.simulate(WorldOptions::default()).unwrap();
     let world = machine.world().clone();

@@ -17,7 +17,7 @@ fn assert_only_read(b: &Bench, index: usize) {
 }
 
 #[test]
-fn nothing_is_written_before_the_first_order() {
+fn no_drive_is_written_before_the_first_command() {
     let mut b = Rig::new(3).each(|index, drive| drive.simulate.start_running = index == 2).start();
     b.world().unplug(address(1));
     b.run(1_000);
@@ -36,7 +36,7 @@ fn nothing_is_written_before_the_first_order() {
 }
 
 #[test]
-fn a_stop_of_all_axes_writes_nothing_to_drives_that_never_got_an_order() {
+fn a_stop_of_all_axes_writes_nothing_to_drives_that_never_got_a_command() {
     // One is only seen, one not even that. Their latch holds, and opens again.
     let mut b = Rig::new(3).cycle(|cycle| cycle.overrun = Overrun::Stop).start();
     b.world().unplug(address(1));
@@ -77,7 +77,7 @@ fn a_drive_found_running_is_stopped_even_if_its_axis_was_latched_before() {
 }
 
 #[test]
-fn orders_wait_at_the_door_until_the_link_is_up() {
+fn requests_wait_until_the_link_is_up() {
     let mut b = Rig::new(1).start();
     b.step();
     assert_eq!(b.feedback(0).link, Link::Qualifying, "the first cycle has an exchange");

@@ -107,18 +107,18 @@ fn text_of(panic: &(dyn Any + Send)) -> String {
 }
 
 #[test]
-fn a_campaign_tells_its_seed_of_a_failure_and_of_a_panic() {
+fn a_campaign_reports_the_seed_of_a_failure_and_of_a_panic() {
     if only().is_some() {
         return;
     }
-    let told = |judge: fn(u64) -> Judged<u64>| {
+    let report = |judge: fn(u64) -> Judged<u64>| {
         let panic = catch_unwind(|| fixed("example", 9, judge)).unwrap_err();
         text_of(&*panic)
     };
     assert_eq!(
-        told(|seed| (1, if seed == 5 { Err("why".to_owned()) } else { Ok(()) })),
+        report(|seed| (1, if seed == 5 { Err("why".to_owned()) } else { Ok(()) })),
         "example: CAMPAIGN_SEED=5: why"
     );
-    assert_eq!(told(|seed| panic!("so {seed}")), "example: CAMPAIGN_SEED=0: so 0");
+    assert_eq!(report(|seed| panic!("so {seed}")), "example: CAMPAIGN_SEED=0: so 0");
     assert_eq!(fixed("example", 9, |seed| (seed, Ok(()))), 36);
 }

@@ -114,10 +114,10 @@ fn a_capture_has_each_telegram_of_the_recording_in_words() {
     }
     let of_link: u64 = of_link.values().sum();
     assert!(of_link > 20, "{of_link}");
-    let [asked, answered] = [true, false].map(|is_out| found[&("modbus-tcp".to_owned(), is_out)]);
-    assert!(answered > 500 && asked - answered < 8, "{asked} {answered}");
-    let [asked, answered] = [true, false].map(|is_out| found[&("profibus-dp".to_owned(), is_out)]);
-    assert!(answered > 500 && asked > answered, "{asked} {answered}");
+    let [requested, answered] = [true, false].map(|is_out| found[&("modbus-tcp".to_owned(), is_out)]);
+    assert!(answered > 500 && requested - answered < 8, "{requested} {answered}");
+    let [requested, answered] = [true, false].map(|is_out| found[&("profibus-dp".to_owned(), is_out)]);
+    assert!(answered > 500 && requested > answered, "{requested} {answered}");
     // Two drives, of which one was connected again.
     assert!(streams.len() == 3 && streams.values().all(|count| *count > 10), "{streams:?}");
 }

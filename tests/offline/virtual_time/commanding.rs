@@ -307,10 +307,10 @@ impl LinMot {
     /// Takes what is new on the tape.
     fn look(&mut self) {
         let mut tape = self.bench.tape(0);
-        for heard in tape.received.drain(..) {
+        for received in tape.received.drain(..) {
             let is_one = |block: RtcBlock| block.code == RtcCommand::WRITE_RAM.0 && block.index() == RUN_MODE;
-            self.received += usize::from(heard.request.config.is_some_and(is_one));
-            if let Some(state) = heard.reply.and_then(|reply| reply.state) {
+            self.received += usize::from(received.request.config.is_some_and(is_one));
+            if let Some(state) = received.reply.and_then(|reply| reply.state) {
                 self.on = state.main() >= MainState::HW_TESTS;
             }
         }
@@ -388,7 +388,7 @@ fn an_enable_waits_for_a_write_no_longer_than_its_own_time() {
 }
 
 #[test]
-fn what_a_drive_may_still_carry_out_holds_up_an_enable() {
+fn a_write_still_under_way_delays_an_enable() {
     let rig = Rig::new(1).each(|_, drive| {
         drive.simulate.config_time_ns = 3 * S;
         drive.axis.enable_timeout = Duration::from_millis(600);
@@ -409,7 +409,7 @@ fn what_a_drive_may_still_carry_out_holds_up_an_enable() {
     run.done(Command::Enable);
 }
 
-// Kollmorgen: the drive's mode tells what was written.
+// Kollmorgen: the drive's mode shows what was written.
 
 struct Kollmorgen {
     machine: Machine,

@@ -1,4 +1,4 @@
-//! What an application asks for, and how it ends.
+//! The commands of an application, and how they end.
 
 use fieldbeat::axis::{
     Abort, Command, EventKind, Failure, Link, NativeOwner, State, StopCause, StopHow, StopThen, Target,

@@ -37,7 +37,7 @@ fn rigs() -> Vec<Rig> {
 }
 
 #[test]
-fn no_order_ends_early_or_is_lost_whenever_one_reply_is_repeated() {
+fn no_command_ends_early_or_is_lost_when_any_reply_is_repeated() {
     let mut random = fastrand::Rng::with_seed(17);
     for (n, rig) in rigs().into_iter().enumerate() {
         let mut b = rig.ready();

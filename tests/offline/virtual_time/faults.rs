@@ -15,7 +15,7 @@ use crate::virtual_time::support::*;
 
 #[test]
 fn a_link_lost_behind_a_power_off_switches_nothing_on_again() {
-    // The drive has heard the power off, its answer is lost. The stop that follows must not take what the drive said
+    // The drive has received the power off, its answer is lost. The stop that follows must not take what the drive said
     // before for what it finds.
     let mut b = Rig::new(1).each(|_, drive| drive.axis.stop.then = StopThen::Hold).ready();
     b.tape(0).mute = true;
@@ -203,12 +203,12 @@ fn a_task_gives_one_command_a_cycle_and_rows_that_are_checked() {
     assert_eq!(b.stopped(0, 300), StopCause::Limit);
     let last = reported.lock().unwrap()[5].unwrap();
     assert_eq!(b.outcome(0, last), Some(Outcome::Failed(Failure::NotFinite)));
-    assert_eq!(b.feedback(0).cycle, 3_600, "told in the cycle of the bad row");
+    assert_eq!(b.feedback(0).cycle, 3_600, "reported in the cycle of the bad row");
 }
 
 /// One axis of each protocol.
 #[test]
-fn what_happens_to_a_simulated_drive_is_named_by_its_axis() {
+fn simulated_drive_events_are_addressed_by_axis_name() {
     let mut sim =
         Master::from_file("../../rt-config/demo.toml").unwrap().simulate(WorldOptions::default()).unwrap();
     let index =

@@ -175,7 +175,7 @@ fn there_are_no_bursts_to_catch_up() {
 }
 
 #[test]
-fn the_task_sees_this_cycle_and_its_orders_leave_with_the_next() {
+fn the_task_sees_this_cycle_and_its_commands_leave_with_the_next() {
     const K: u64 = 700;
     let grids = Arc::new(Mutex::new(Vec::new()));
     let log = Arc::clone(&grids);
@@ -225,7 +225,7 @@ fn the_task_sees_this_cycle_and_its_orders_leave_with_the_next() {
 }
 
 #[test]
-fn a_guard_spins_up_to_the_grid_and_a_spinning_window_hears_as_much() {
+fn a_guard_spins_up_to_the_grid_and_a_spinning_window_receives_as_much() {
     for (guard, wait, most_ns) in [
         (Guard::Off, Wait::Poll, 30_100),
         (Guard::Fixed(40_000), Wait::Poll, 150),

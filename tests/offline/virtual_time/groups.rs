@@ -30,7 +30,7 @@ fn received(b: &Bench, count: usize) -> Vec<usize> {
     (0..count).map(|index| b.tape(index).received.len()).collect()
 }
 
-/// When the drive heard each new motion command, by its header without the count.
+/// The time when the drive received each new motion command, by its header without the count.
 fn motions(b: &Bench, index: usize, from: usize) -> Vec<(Time, u16)> {
     let mut last: Option<MotionBlock> = None;
     let mut motions = Vec::new();
@@ -46,7 +46,7 @@ fn motions(b: &Bench, index: usize, from: usize) -> Vec<(Time, u16)> {
 }
 
 #[test]
-fn a_verb_reaches_all_members_in_one_send_whatever_each_was_doing() {
+fn a_group_command_reaches_all_members_in_one_send_in_any_state() {
     let mut b = joined(4, &[2, 0, 3]);
     let from = received(&b, 4);
     b.group_done(&[to(10.0), to(20.0), to(30.0)]);
@@ -75,7 +75,7 @@ fn one_member_that_cannot_keeps_all_others_from_it() {
     let mut b = joined(3, &[0, 1, 2]);
     b.group_done(&[to(100.0), to(100.0), to(100.0)]);
     let from = received(&b, 3);
-    // Refused in the loop: member 1 would leave its range. The others are told why they stay.
+    // Refused in the loop: member 1 would leave its range. The reason is reported to the others.
     let command = b.group().post(&[Command::Disable, Command::Disable, Command::Disable]).unwrap();
     assert_eq!(b.group_ended(&command), [Outcome::Done; 3]);
     let command = b.group().post(&[to(10.0), to(10.0), to(10.0)]).unwrap();
@@ -218,7 +218,7 @@ fn streaming(b: &mut Bench, steps: u32) -> fieldbeat::axis::GroupCommand {
     b.group().follow().unwrap()
 }
 
-/// The rows that the drive heard, in 0.1 um, with their instants; repeated ones once.
+/// The rows that the drive received, in 0.1 um, with their instants; repeated ones once.
 fn rows(b: &Bench, index: usize, from: usize) -> Vec<(Time, i32)> {
     let mut rows = Vec::new();
     let mut count = None;
@@ -344,7 +344,7 @@ fn misses_of_all_members_together_stop_the_group() {
     for index in 0..3 {
         assert_eq!(b.feedback(index).stopped, Some(StopCause::GroupLink));
         let missed = b.kinds(index).iter().filter(|kind| **kind == EventKind::MissedInGroup).count();
-        assert!((2..=3).contains(&missed), "axis {index} was told of {missed}");
+        assert!((2..=3).contains(&missed), "axis {index} reported {missed}");
         let outcome = b.outcome(index, command.ids()[index]);
         assert_eq!(outcome, Some(Outcome::Aborted(Abort::Stopped(StopCause::GroupLink))));
     }
@@ -620,7 +620,7 @@ fn a_stop_in_a_call_that_finds_the_queue_full_is_given() {
 }
 
 #[test]
-fn nothing_is_given_once_the_master_has_ended() {
+fn groups_are_refused_after_the_end_of_the_master() {
     let mut b = rig(2).online();
     let mut group = Group::new([0, 1].map(|index| b.sim.take_axis(index))).unwrap();
     drop(b.finish());

@@ -1,4 +1,4 @@
-//! Every cause of a master's stop, alone: what is told, in which order, how the latch holds, and how it opens.
+//! Every cause of a master's stop, alone: the reports, in their order, how the latch holds, and how it opens.
 
 use std::time::Duration;
 
@@ -83,7 +83,7 @@ causes! {
         rig: |rig| rig.each(|index, drive| drive.simulate.start_running = index == 0),
         lead: |b| {
             b.until("the first answer", 20, |b| b.feedback(0).link == Link::Qualifying);
-            // The next one passes the quality gate; what is asked now waits for the end of that cycle.
+            // The next one passes the quality gate; a request now waits for the end of that cycle.
             b.run(8);
             b.post(0, Command::Enable)
         },
@@ -167,7 +167,7 @@ causes! {
     Uncommanded, StopTimeout, Panic, LinkThread, OwnerLost, LoopStuck, FollowingError, PositionJump
 }
 
-/// Asks axis 0, and its whole group where it has joined one.
+/// Commands axis 0, and its whole group where it has joined one.
 fn ask(b: &mut Bench, command: Command) -> CommandId {
     match b.joined() {
         true => b.group().post_all(command).unwrap_or_else(|error| panic!("{error}")).ids()[0],
@@ -229,7 +229,7 @@ fn try_cause(cause: StopCause, case: &Case) {
     }
     expected.extend(waiting.map(|id| (Some(id), aborted)));
     assert!(reported.eq(expected), "{cause}: {:?}", &b.events[before..]);
-    // A stop for a row comes after the judging; the group is told in the next one.
+    // A stop for a row comes after the judging; the group gets it in the next one.
     b.step();
     assert_eq!([1, 2].map(|index| b.feedback(index).stopped), case.others, "{cause}");
 
@@ -294,7 +294,7 @@ fn assert_ends(mut b: Bench, cause: StopCause) {
 }
 
 #[test]
-fn every_cause_latches_tells_in_order_and_opens_by_reset_and_enable() {
+fn every_cause_latches_reports_in_order_and_opens_by_reset_and_enable() {
     let listed = |cause| CAUSES.iter().any(|(known, _)| *known == cause) || OWN.contains(&cause);
     assert!(StopCause::ALL.into_iter().all(listed), "each cause has its case");
     for (cause, case) in CAUSES {

@@ -6,7 +6,7 @@ use fieldbeat_sim::linudp::LinMotSettings;
 use crate::virtual_time::support::*;
 
 #[test]
-fn numbers_that_are_none_and_those_beyond_the_limits_are_refused_at_the_door() {
+fn nan_and_values_beyond_the_limits_are_refused_on_submission() {
     let mut b = Rig::new(1).ready();
     let first = b.post(0, Command::Reset).0;
     let before = b.tape(0).received.len();
@@ -92,7 +92,7 @@ fn a_jog_reaches_its_speed_and_never_runs_further_ahead_than_its_leash() {
             let demand = f64::from(received.reply.unwrap().demand.unwrap()) / PER_MM;
             assert!((target - demand).abs() <= LEASH, "{target} is more than a leash from {demand}");
         }
-        // The master dies: the drive hears nothing any more.
+        // The master dies: the drive receives nothing any more.
         let demand = b.feedback(0).status.demand;
         b.world().unplug(address(0));
         b.run(3_000);
@@ -103,8 +103,8 @@ fn a_jog_reaches_its_speed_and_never_runs_further_ahead_than_its_leash() {
 }
 
 #[test]
-fn an_axis_in_motion_brakes_before_its_limit_whatever_replaces_its_motion() {
-    // Each of these would need far more way than there is, with the deceleration asked for.
+fn an_axis_in_motion_brakes_before_its_limit_under_any_replacement_of_its_motion() {
+    // Each of these would need far more way than there is, with the requested deceleration.
     let weak = 500.0;
     let slow = Profile { velocity: 10.0, acceleration: weak, deceleration: weak };
     for replacement in [

@@ -39,7 +39,7 @@ fn a_load_that_only_the_drive_holds_is_never_powered_off_by_the_master() {
         let off = |received: &Delivery| {
             received.request.control.is_some_and(|control| !control.has(ControlWord::SWITCH_ON))
         };
-        assert!(!b.tape(0).received[from..].iter().any(off), "lost {lose}, asked {requested} times");
+        assert!(!b.tape(0).received[from..].iter().any(off), "lost {lose}, requested {requested} times");
         assert_eq!(b.feedback(0).status.state, State::OperationEnabled);
         assert!(b.feedback(0).status.velocity.abs() < 1.0);
         let left = b.finish().drives[0].at_end.clone().unwrap();

@@ -281,7 +281,7 @@ fn frames_that_are_lost_and_slots_that_are_skipped_steer_nothing() {
 }
 
 #[test]
-fn without_a_reference_nobody_leads_and_the_grid_is_its_own() {
+fn without_a_reference_the_grid_follows_no_clock() {
     let segment = segment(0, &[500.0], None);
     let plan = plan(MS, None, vec![Box::new(segment.plan.clone())]);
     let mut sim = Master::from_plan(plan).with_simulation(segment).simulate(WorldOptions::default()).unwrap();
@@ -291,7 +291,7 @@ fn without_a_reference_nobody_leads_and_the_grid_is_its_own() {
 }
 
 #[test]
-fn drives_of_another_bus_are_asked_on_the_grid_that_is_led() {
+fn drives_of_another_bus_are_requested_on_the_led_grid() {
     let drives = LinUdpPlan::new([10, 0, 0, 1].into(), (0..3).map(drive).collect());
     let mut led = Led::beside(MS, None, &[&[100.0]], vec![Box::new(drives)]);
     led.run_for(3 * S, |_| {});

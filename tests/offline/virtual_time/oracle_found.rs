@@ -86,7 +86,7 @@ fn a_latched_axis_that_holds_is_moved_by_no_parameter() {
 }
 
 #[test]
-fn an_axis_in_motion_keeps_to_its_limits_whatever_parameters_are_written() {
+fn an_axis_in_motion_keeps_to_its_limits_under_any_parameter_write() {
     for (axis, command, percent) in [(1, Velocity, 20), (2, Torque, 5)] {
         let begin = (0, axis, Post(vec![command]));
         let level = (3, axis, Level { percent, turns: 150 });
@@ -104,7 +104,7 @@ fn a_loop_that_passes_over_most_of_its_slots_stops() {
 }
 
 #[test]
-fn a_stop_ends_whatever_deceleration_it_is_given() {
+fn a_stop_ends_with_any_given_deceleration() {
     for deceleration in [1e-9, 1e-3, 1.0] {
         for (kind, axis) in [(Kind::LinMot, 0), (Kind::Kollmorgen, 0), (Kind::Kollmorgen, 1)] {
             let stop = (30, axis, Post(vec![StopAt(deceleration)]));

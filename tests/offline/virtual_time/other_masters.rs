@@ -97,7 +97,7 @@ fn slaves_of_a_living_master_are_left_as_they_run() {
     assert_eq!(machine.feedback(0).stopped, Some(StopCause::OtherMaster));
 }
 
-/// What it asks of a LinMot.
+/// The requests to a LinMot.
 pub fn go_to(position: i32) -> MotionCommand {
     let (velocity, acceleration) = (Velocity(10_000), Acceleration(100_000));
     MotionCommand::vai_go_to(Position(position), velocity, acceleration, acceleration)

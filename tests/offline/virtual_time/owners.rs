@@ -151,7 +151,7 @@ fn a_stop_that_is_posted_before_the_drop_comes_first_whenever_both_come() {
 }
 
 #[test]
-fn what_was_posted_before_the_drop_does_not_begin_after_it() {
+fn a_command_posted_before_the_drop_does_not_begin_after_it() {
     // All of it is behind the same bell.
     let mut b = ready(OwnerLost::Stop, StopThen::Disable);
     b.done(0, slowly_to(5.0));
@@ -204,7 +204,7 @@ fn joined() -> Bench {
 }
 
 #[test]
-fn a_group_that_is_dropped_stops_with_all_its_members_and_nobody_else() {
+fn a_dropped_group_stops_its_own_members_only() {
     let mut b = joined();
     b.drop_group();
     b.run(1);
@@ -236,7 +236,7 @@ fn a_member_that_is_dropped_alone_stops_those_of_its_group_that_are_kept() {
 }
 
 #[test]
-fn what_the_in_loop_task_commands_has_its_owner() {
+fn commands_of_the_in_loop_task_have_an_owner() {
     let begins = 2_000;
     let mut b = Rig::new(1)
         .task(move |cycle, axes| {

@@ -214,7 +214,7 @@ fn a_panic_in_any_call_of_a_bus_stops_the_axes_of_all_buses_in_order() {
 }
 
 #[test]
-fn a_bus_that_panics_for_ever_is_left_out_and_the_other_one_stops_in_order() {
+fn a_permanently_panicking_bus_is_left_out_and_the_other_one_stops_in_order() {
     for call in [Call::Send, Call::Receive, Call::Prepare] {
         for (broken, healthy) in [(0, 1), (1, 0)] {
             let machine = Machine::moving();
@@ -227,7 +227,7 @@ fn a_bus_that_panics_for_ever_is_left_out_and_the_other_one_stops_in_order() {
 }
 
 #[test]
-fn what_is_posted_after_a_panic_has_its_end() {
+fn a_command_posted_after_a_panic_ends() {
     let mut machine = Machine::moving();
     machine.clock.panics.store(1, Ordering::Relaxed);
     machine.engine.step();

@@ -116,7 +116,7 @@ fn a_window_holds_what_is_newest_and_is_written_when_something_fails() {
 }
 
 #[test]
-fn what_cannot_be_recorded_is_said_before_the_run() {
+fn an_unrecordable_machine_is_refused_before_the_run() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("there.mcap");
     std::fs::write(&path, "mine").unwrap();

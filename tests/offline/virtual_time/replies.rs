@@ -203,7 +203,7 @@ fn replies_and_requests_in_disorder_are_no_lost_link() {
 }
 
 #[test]
-fn what_waits_in_the_socket_before_the_first_request_is_no_reply() {
+fn datagrams_from_before_the_first_request_are_no_reply() {
     let mut b = Rig::new(1).start();
     // The reply to a request of the master before.
     let response_def = ResponseDef::CYCLIC;
@@ -218,7 +218,7 @@ fn what_waits_in_the_socket_before_the_first_request_is_no_reply() {
 }
 
 #[test]
-fn what_the_system_drops_and_refuses_to_give_is_counted_and_stops_nobody() {
+fn datagrams_dropped_or_refused_by_the_system_are_counted_and_stop_no_drive() {
     let mut b = moving(Rig::new(2));
     b.tape(0).dropped = 3;
     b.tape(0).deaf_once = true;

@@ -25,7 +25,7 @@ struct Case {
     ends: Option<Outcome>,
     /// The latch afterwards.
     stopped: Option<StopCause>,
-    /// The drive had been heard before, so that the restart is seen and told.
+    /// The drive had replied before, so that the restart is seen and reported.
     reported: bool,
 }
 
@@ -232,14 +232,14 @@ const CASES: [Case; 24] = [
         ..MOVING
     },
     Case {
-        name: "lost, hearing nothing",
+        name: "lost, receiving nothing",
         lead: |b| lost(b, |b| assert!(b.world().unplug(address(0)))),
         ends: Some(Outcome::Aborted(Abort::Stopped(StopCause::LinkLost))),
         stopped: Some(StopCause::LinkLost),
         ..MOVING
     },
     Case {
-        name: "lost, hearing the probes",
+        name: "lost, receiving the probes",
         lead: |b| lost(b, |b| b.tape(0).mute = true),
         lasts: 500,
         ends: Some(Outcome::Aborted(Abort::Stopped(StopCause::LinkLost))),
@@ -288,18 +288,18 @@ fn stop(b: &mut Bench, velocity: f64) -> Option<CommandId> {
 
 /// The two ways in which it may come: between two requests, or at a request, which is lost.
 #[derive(Clone, Copy, Debug)]
-enum Blow {
+enum RestartAt {
     Between,
     AtRequest,
 }
 
-fn restart(b: &mut Bench, blow: Blow) {
+fn restart(b: &mut Bench, blow: RestartAt) {
     b.tape(0).received.clear();
     let reached = b.world().set_faults(address(0), FaultPlan { restart: 1.0, ..FaultPlan::default() });
     assert!(reached);
     let mut hit = false;
     // Behind a pulled plug no request comes.
-    for _ in 0..if matches!(blow, Blow::AtRequest) { 150 } else { 0 } {
+    for _ in 0..if matches!(blow, RestartAt::AtRequest) { 150 } else { 0 } {
         b.step();
         hit = b.world().injected(address(0)).unwrap().restarts > 0;
         if hit {
@@ -312,7 +312,7 @@ fn restart(b: &mut Bench, blow: Blow) {
     }
 }
 
-/// It stays off, it is told to be off, and it has lost its reference.
+/// It stays off, it gets the power off request, and it has lost its reference.
 fn assert_lies_still(b: &Bench, what: &str) {
     let tape = b.tape(0);
     for (n, received) in tape.received.iter().enumerate() {
@@ -320,7 +320,7 @@ fn assert_lies_still(b: &Bench, what: &str) {
         assert!(reply.state.unwrap().main() < MainState::HW_TESTS, "{what}: power in answer {n}");
         assert!(!reply.status.unwrap().homed(), "{what}: homed in answer {n}");
     }
-    // What the master has heard before it sent is none of its first requests.
+    // A reply from before the first send answers none of the first requests.
     let learned = tape.received.iter().skip(3);
     let go = learned.filter(|received| {
         received.request.control.is_some_and(|word| word.has(ControlWord::SWITCH_ON))
@@ -335,7 +335,7 @@ fn assert_lies_still(b: &Bench, what: &str) {
     );
 }
 
-fn try_case(case: &Case, divisor: u32, after: u64, blow: Blow) {
+fn try_case(case: &Case, divisor: u32, after: u64, blow: RestartAt) {
     let what = format!("{}, divisor {divisor}, {blow:?} after {after}", case.name);
     let mut b = Rig::new(2)
         .each(|index, drive| {
@@ -390,7 +390,7 @@ fn try_case(case: &Case, divisor: u32, after: u64, blow: Blow) {
 #[test]
 fn a_restart_in_any_state_ends_what_was_under_way_and_starts_nothing() {
     for case in &CASES {
-        for (divisor, blow) in [(1, Blow::Between), (3, Blow::AtRequest)] {
+        for (divisor, blow) in [(1, RestartAt::Between), (3, RestartAt::AtRequest)] {
             for after in [0, 1, case.lasts / 3, case.lasts] {
                 try_case(case, divisor, after, blow);
             }

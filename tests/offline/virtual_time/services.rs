@@ -101,7 +101,7 @@ fn the_lists_name_all_parameters_and_those_that_were_changed() {
 }
 
 #[test]
-fn curves_and_tables_go_there_and_back_to_the_byte_while_replies_are_lost() {
+fn curves_and_tables_round_trip_to_the_byte_while_replies_are_lost() {
     for seed in 0..4 {
         let weather = FaultPlan { seed, drop: 0.05, ..FaultPlan::default() };
         let mut b = kept(Rig::new(2).faults(weather)).online();
@@ -251,7 +251,7 @@ fn flash_is_saved_through_a_silence_that_loses_the_link_and_what_was_saved_outli
 }
 
 #[test]
-fn the_silence_that_a_drive_was_asked_for_stops_nobody_else() {
+fn an_expected_silence_of_a_drive_stops_no_other_drive() {
     let mut b = Rig::new(2).each(|_, drive| drive.axis.stop.group = Some(0)).ready();
     b.done(0, Command::Disable);
     b.done(1, to(10.0));
@@ -262,7 +262,7 @@ fn the_silence_that_a_drive_was_asked_for_stops_nobody_else() {
     assert_eq!(b.feedback(0).stopped, Some(StopCause::LinkLost), "it was silent, and says so");
     assert_eq!((b.feedback(1).stopped, b.outcome(1, motion)), (None, None));
     assert!(b.feedback(1).status.moving);
-    // One that nobody asked for takes its group along, as ever.
+    // One that was not requested takes its group along, as ever.
     b.world().unplug(address(0));
     b.run(50);
     assert_eq!(b.feedback(1).stopped, None, "it is latched already, and off");
@@ -360,7 +360,7 @@ fn runs(b: &mut Bench) -> bool {
 }
 
 #[test]
-fn the_software_runs_again_whatever_was_lost() {
+fn the_software_runs_again_after_any_loss() {
     // The answer to the stop; the save; both, and then the first attempts to start it.
     let lost: [&Fates<'_>; 3] = [
         &|_, call| is(call, RtcCommand::STOP_SOFTWARE).then_some(Fate::Unheard(CallError::TimedOut)),
@@ -385,7 +385,7 @@ fn the_software_runs_again_whatever_was_lost() {
 }
 
 #[test]
-fn software_that_stays_stopped_is_told_and_left_to_whoever_comes_behind() {
+fn stopped_drive_software_is_reported_and_restarted_by_a_later_call() {
     for save_too in [false, true] {
         let mut b = Rig::new(1).online();
         let turning = Turning::new(&mut b, 0);
@@ -445,7 +445,7 @@ fn a_table_that_is_broken_off_is_put_back_with_as_few_steps_as_that_takes() {
 }
 
 #[test]
-fn what_could_not_be_put_back_is_told_with_what_is_lost() {
+fn an_incomplete_restore_is_reported_with_its_losses() {
     let mut b = Rig::new(1).online();
     let turning = Turning::new(&mut b, 0);
     services(&turning).put_table(&table(0), &mut go_on).unwrap();

@@ -138,8 +138,8 @@ fn from_every_state_each_axis_ends_powered_off() {
 }
 
 #[test]
-fn a_lost_drive_hears_its_stop_and_its_power_off_before_the_end() {
-    // Only its replies are lost, and they are lost just when the end is asked for.
+fn a_lost_drive_receives_its_stop_and_its_power_off_before_the_end() {
+    // Only its replies are lost, and they are lost just when the end is requested.
     let mut b = Rig::new(1).each(|_, drive| drive.axis.stop.timeout = Duration::from_millis(500)).ready();
     let id = b.post(0, with(Target::Absolute(190.0), 100.0, 1_000.0));
     b.run(100);
@@ -185,7 +185,7 @@ fn a_second_stop_shortens_the_way_and_still_goes_it() {
 }
 
 #[test]
-fn the_task_is_not_called_once_the_end_was_asked_for() {
+fn the_task_is_not_called_once_the_end_was_requested() {
     let calls = Arc::new(AtomicU64::new(0));
     let count = Arc::clone(&calls);
     let mut b = Rig::new(1)

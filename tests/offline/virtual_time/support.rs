@@ -47,7 +47,7 @@ pub struct Delivery {
     pub reply: Option<Response>,
 }
 
-/// One request as it left the master, whether or not the drive heard it.
+/// One request as it left the master, whether or not the drive received it.
 #[derive(Clone, Copy, Debug)]
 pub struct Spoken {
     pub at: Time,
@@ -56,13 +56,13 @@ pub struct Spoken {
 
 type Tamper = Box<dyn FnMut(&mut Vec<u8>) + Send>;
 
-/// What one drive heard and said, and what is to befall it.
+/// The requests and replies of one drive, and the faults to come.
 #[derive(Default)]
 pub struct Tape {
     pub received: Vec<Delivery>,
-    /// What went out to it since somebody asked for it, by `Some`.
+    /// What went out to it since a test requested it, by `Some`.
     pub wire: Option<Vec<Spoken>>,
-    /// Hears and acts, but its answers are lost.
+    /// Receives and acts, but its answers are lost.
     pub mute: bool,
     /// The operating system refuses to send to it.
     pub jammed: bool,
@@ -445,7 +445,7 @@ impl Bench {
         self.group.as_mut().expect("axes have joined")
     }
 
-    /// Turns until the command has ended at every member, and tells how.
+    /// Turns until the command has ended at every member. Returns how.
     pub fn group_ended(&mut self, command: &GroupCommand) -> Vec<Outcome> {
         let members = self.members.clone();
         members.iter().zip(command.ids()).map(|(index, id)| self.ended(*index, *id)).collect()
@@ -620,7 +620,7 @@ impl Bench {
         assert!(at >= since, "age {} in {}, but given {} ns before", feedback.age, since, since.since(at));
     }
 
-    /// Asks for the end and turns until it is there.
+    /// Requests the end and turns until it is there.
     pub fn shut_down(&mut self, most: u64) -> u64 {
         self.sim.stop();
         for turn in 1..=most {

@@ -75,7 +75,7 @@ fn cycle() -> CyclePlan {
 }
 
 #[test]
-fn records_that_nobody_takes_cost_detail_and_no_truth() {
+fn a_full_record_queue_loses_detail_and_no_counts() {
     let plan = plan();
     let mut measured = Measured::new(&plan.units(), &plan.cycle, false);
     let mut shown = [None; MONITOR_CHANNELS];
@@ -149,7 +149,7 @@ fn each_drive_has_a_record_in_each_cycle_and_its_cycle_comes_last() {
 }
 
 #[test]
-fn what_a_drive_shows_besides_is_told_when_it_is_new_and_only_of_that_drive() {
+fn monitored_values_are_reported_when_new_and_for_their_drive_only() {
     let plan = plan();
     let (mut drive, mut at, mut fresh, mut silent) = (None, 0.0, 0, 0);
     let end = run(&plan, |records| {
@@ -165,7 +165,7 @@ fn what_a_drive_shows_besides_is_told_when_it_is_new_and_only_of_that_drive() {
                     assert_eq!((record.axis, record.index), (1, of.index));
                     // The exchange before may have been missed in the same cycle.
                     assert!(of.rtt_ns.is_some() || of.reply == Reply::Suspect, "{of:?}");
-                    // The drive's own clock: no value is told twice.
+                    // The drive's own clock: no value is reported twice.
                     let [None, Some(timer), None, _] = record.shown.values() else { panic!("{record:?}") };
                     assert!(timer > at, "{timer} after {at}");
                     (at, fresh) = (timer, fresh + 1);
@@ -181,7 +181,7 @@ fn what_a_drive_shows_besides_is_told_when_it_is_new_and_only_of_that_drive() {
 }
 
 #[test]
-fn only_drives_that_show_something_besides_take_room() {
+fn only_drives_with_monitored_values_take_room() {
     let with = plan();
     assert_eq!(with.records_a_cycle(), 3 + 1 + 1);
     let axes: Vec<_> = with

@@ -32,7 +32,7 @@ fn a_velocity_that_is_too_old_stops_the_axis_in_the_cycle_that_was_said() {
 }
 
 #[test]
-fn a_jog_that_nobody_holds_stops() {
+fn a_jog_without_renewal_stops() {
     let mut b = Rig::new(1)
         .each(|_, drive| drive.axis.jog_deadman = Some(std::time::Duration::from_millis(50)))
         .ready();

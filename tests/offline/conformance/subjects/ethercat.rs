@@ -268,7 +268,7 @@ impl Subject for EtherCat {
         Calls { read: FREE.read(), write: FREE.write(77), refused, soon: self.slaves.soon }
     }
 
-    fn asks_to_stop(&self, before: &[Vec<u8>], request: &[u8]) -> bool {
+    fn requests_stop(&self, before: &[Vec<u8>], request: &[u8]) -> bool {
         let Some((setpoint, control)) = outputs(request) else { return false };
         let mut last: Vec<i64> =
             before.iter().rev().filter_map(|request| Some(outputs(request)?.0)).collect();

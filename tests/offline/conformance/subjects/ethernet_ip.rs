@@ -162,7 +162,7 @@ impl Subject for EthernetIp {
         }
     }
 
-    fn asks_to_stop(&self, _before: &[Vec<u8>], request: &[u8]) -> bool {
+    fn requests_stop(&self, _before: &[Vec<u8>], request: &[u8]) -> bool {
         word(request) & (command::STOP | command::STOP_FAST | command::DISABLE) != 0
     }
 

@@ -119,7 +119,7 @@ impl Subject for LinUdp {
         }
     }
 
-    fn asks_to_stop(&self, _before: &[Vec<u8>], request: &[u8]) -> bool {
+    fn requests_stop(&self, _before: &[Vec<u8>], request: &[u8]) -> bool {
         let Ok(request) = Request::parse(request) else { return false };
         let aborts = |word: ControlWord| word.has(ControlWord::SWITCH_ON) && !word.has(ControlWord::NO_ABORT);
         request.motion.is_some_and(|motion| motion.header >> 4 == STOP) || request.control.is_some_and(aborts)

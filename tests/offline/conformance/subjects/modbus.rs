@@ -179,7 +179,7 @@ impl Subject for Modbus {
         }
     }
 
-    fn asks_to_stop(&self, before: &[Vec<u8>], request: &[u8]) -> bool {
+    fn requests_stop(&self, before: &[Vec<u8>], request: &[u8]) -> bool {
         let runs = |value: i32| ControlWord(value as u16).has_any(ControlWord::ANY_RUN);
         let ends = written(request)
             .iter()
@@ -198,7 +198,7 @@ impl Subject for Modbus {
     }
 
     fn malformed(&self, reply: &[u8]) -> Vec<Vec<u8>> {
-        // With a function that nobody asks for, a count of bytes that lies, and a message that ends too soon.
+        // With a function that no request has, a count of bytes that lies, and a message that ends too soon.
         let short = [&reply[..5], &[4], &reply[6..10]].concat();
         let lying = [&reply[..8], &[reply[8] ^ 2], &reply[9..]].concat();
         vec![[&reply[..5], &[3, reply[6], 7, 0]].concat(), lying, short]

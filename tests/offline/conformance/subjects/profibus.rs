@@ -199,7 +199,7 @@ impl Subject for Profibus {
         (bits * 1_000_000_000_u64).div_ceil(RATE.into()) - 2 * LATENCY
     }
 
-    fn asks_to_stop(&self, before: &[Vec<u8>], request: &[u8]) -> bool {
+    fn requests_stop(&self, before: &[Vec<u8>], request: &[u8]) -> bool {
         let of = |bytes: &[u8]| {
             let data = frame(bytes).filter(|frame| frame.head.dsap.is_none())?.data;
             Some((word(data, WORD)?, i32::from(word(data, VALUE)? as i16)))

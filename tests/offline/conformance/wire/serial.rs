@@ -30,7 +30,7 @@ pub(super) struct TappedSlave {
     said: Option<Said>,
     reported: Option<Said>,
     /// The request that it has, and has not answered.
-    asked: bool,
+    requested: bool,
 }
 
 impl TappedSlave {
@@ -46,7 +46,7 @@ impl TappedSlave {
             replies: Queue::new(64),
             said: None,
             reported: None,
-            asked: false,
+            requested: false,
         }
     }
 
@@ -68,9 +68,9 @@ impl TappedSlave {
         let Wire { subject, log, .. } = &self.wire;
         let mut log = log.lock().unwrap();
         let tape = &mut log.drives[self.index];
-        self.asked = subject.is_exchange(bytes, tape.open);
+        self.requested = subject.is_exchange(bytes, tape.open);
         tape.open = subject.opens(bytes, tape.open);
-        if self.asked {
+        if self.requested {
             tape.received.push(Delivery {
                 at: now,
                 request: bytes.to_vec(),
@@ -90,7 +90,7 @@ impl TappedSlave {
         if tape.unplugged {
             return false;
         }
-        if std::mem::take(&mut self.asked)
+        if std::mem::take(&mut self.requested)
             && let Some(delivery) = tape.received.last_mut()
         {
             delivery.reply = bytes.to_vec();

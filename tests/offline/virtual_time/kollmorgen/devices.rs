@@ -161,7 +161,7 @@ fn counted(machine: Machine) -> BTreeMap<&'static str, u64> {
 }
 
 #[test]
-fn what_a_device_does_wrong_is_counted_by_name() {
+fn protocol_errors_of_a_slave_are_counted_by_name() {
     let mut segment = EthercatSegment::from(line(vec![drive(0, Family::S700)], vec![io(1)]));
     // With a processor, which refuses a state.
     let own = SlaveSettings { emulated: Some(false), ..SlaveSettings::default() };

@@ -188,7 +188,7 @@ fn drives_left_in_op_are_online_in_the_time_of_a_fresh_segment_wherever_their_sy
 }
 
 #[test]
-fn clocks_of_any_time_and_period_that_are_left_hold_up_nobody() {
+fn clocks_left_at_any_time_and_period_delay_no_start() {
     let segment = segment(Watchdog::Off, 1_024, 30.0);
     let fresh = Machine::new(segment.clone()).cycles_to_online();
     for (offset, period_ns) in [(7, 250 * US), (1 << 62, 2 * MS), (u64::MAX / 3, 777_777)] {
@@ -205,7 +205,7 @@ fn clocks_of_any_time_and_period_that_are_left_hold_up_nobody() {
 
 /// A second without a time from anybody, and clocks so bad that theirs are half a period apart.
 #[test]
-fn of_drives_that_turn_on_two_times_none_is_disturbed_and_all_are_set_up_in_the_end() {
+fn drives_running_on_two_dc_times_are_not_disturbed_and_all_are_set_up() {
     let segment = segment(Watchdog::Off, 32, 250.0);
     let first = Machine::turning(&segment, &[0, 1]);
     let mut machine = first.left_for(&segment.plan, S, Left::numbered_otherwise);
@@ -286,7 +286,7 @@ fn a_drive_that_runs_with_other_objects_is_not_joined() {
 }
 
 #[test]
-fn a_drive_found_without_power_is_set_up_before_its_axis_hears_of_it() {
+fn a_drive_found_without_power_is_set_up_before_its_axis_gets_a_report() {
     let plan = line(unwatched(drive(0, Family::S700)));
     let mut first = Machine::new(plan.clone());
     first.online();

@@ -5,7 +5,7 @@
 //! |---|---|
 //! | `mod` | the machine: a line and its master |
 //! | `drives` | free PDOs, emergencies, lost links and masters |
-//! | `devices` | slaves that are no drives; who is refused, and what is told of it |
+//! | `devices` | slaves that are no drives; which of them are refused, and the report |
 //! | `left` | segments that another master left behind |
 //! | `long` | lines of many drives |
 //! | `outputs` | who writes what is in the outputs of a drive |

@@ -7,7 +7,7 @@ use fieldbeat_ethercat::wire::registers::{AlState, AlStatus, address};
 use super::{LINE, Machine, jog, plan};
 
 #[test]
-fn a_drive_that_was_deaf_is_online_only_when_the_master_takes_it_down_no_more() {
+fn a_drive_that_received_nothing_is_online_only_after_its_take_down_has_ended() {
     let mut plan = plan(2);
     plan.drives.iter_mut().for_each(|drive| drive.axis.stop.group = Some(0));
     for delay in (0..40).chain([60, 100, 200, 400]) {

@@ -51,7 +51,7 @@ fn turning(machine: &mut Machine, axis: usize, drives: usize) -> Vec<usize> {
 }
 
 #[test]
-fn an_axis_moves_its_own_drive_or_none_whoever_is_taken_out_or_put_in() {
+fn an_axis_moves_its_own_drive_or_none_when_slaves_are_removed_or_added() {
     for seed in 0..5 {
         let mut random = Rng::with_seed(seed);
         let absent = random.usize(..DRIVES);
@@ -129,7 +129,7 @@ fn a_drive_that_is_absent_for_one_frame_while_it_is_set_up_gives_its_axis_no_oth
 /// A slave behind the configured ones, with the address that an earlier master has left, moves up to the place of one
 /// that is taken out.
 #[test]
-fn a_drive_that_is_taken_out_is_no_sign_of_another_master_whoever_stands_in_its_place() {
+fn a_removed_drive_is_no_sign_of_another_master() {
     let mut whole = plan(DRIVES as u16);
     let segment = SimPlan::from(EthercatSegment::from(&whole)).build();
     whole.drives.truncate(AXES);
@@ -154,8 +154,8 @@ fn a_drive_that_is_taken_out_is_no_sign_of_another_master_whoever_stands_in_its_
 /// The cables of two drives are mixed up, or the drives are, while they or the master are off.
 #[test]
 fn two_equal_drives_that_were_exchanged_while_they_were_off_move_neither_axis() {
-    type Known = fn(&mut Expected, u16);
-    let by: [(&str, Known); 3] = [
+    type Expect = fn(&mut Expected, u16);
+    let by: [(&str, Expect); 3] = [
         ("serial number", |own, place| own.serial = Some(0x100 + u32::from(place))),
         ("alias", |own, place| own.alias = Some(place)),
         ("identification", |own, place| own.identification = Some(place)),

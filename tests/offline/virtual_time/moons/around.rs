@@ -83,7 +83,7 @@ fn an_axis_that_moves_already_stops_first_and_goes_by_what_is_left() {
 
 /// Whatever is lost, the motor has turned by the distance if the command is done, and by no more if it is not.
 #[test]
-fn whatever_is_lost_a_drive_never_goes_a_distance_twice() {
+fn lost_packets_never_repeat_a_relative_move() {
     let (mut ends, mut relative) = ([0; 2], 0);
     for seed in 0..24 {
         let mut random = fastrand::Rng::with_seed(seed);

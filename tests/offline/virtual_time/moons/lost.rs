@@ -48,7 +48,7 @@ fn a_master_that_comes_back_finds_the_drive_running_and_does_as_its_plan_says() 
             FoundRunning::Stop => assert!(truth.velocity.abs() < 1.0, "{truth:?}"),
             FoundRunning::Refuse => {
                 assert!(truth.velocity > 10_000.0, "{truth:?}");
-                assert_eq!(edges(&m.came(0, before)), [0], "it is told nothing");
+                assert_eq!(edges(&m.came(0, before)), [0], "it gets no command");
             }
         }
     }

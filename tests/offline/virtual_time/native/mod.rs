@@ -167,9 +167,9 @@ fn compare_inputs(what: &str, messages: &[Native], from: &Passed) {
 }
 
 /// What a master of Modbus knows after each reply: the newest count at each address, and the addresses of the reply.
-type Known = (BTreeMap<u16, i64>, Vec<u16>);
+type KnownCounts = (BTreeMap<u16, i64>, Vec<u16>);
 
-fn known(requests: &Passed, replies: &Passed) -> Vec<(Time, Known)> {
+fn known(requests: &Passed, replies: &Passed) -> Vec<(Time, KnownCounts)> {
     let mut counts = BTreeMap::new();
     let mut known = Vec::new();
     for (at, reply) in replies {

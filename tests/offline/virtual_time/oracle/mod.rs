@@ -219,7 +219,7 @@ fn judged(seed: u64) -> Judged<Tally> {
 }
 
 #[test]
-fn nothing_moves_that_must_not_in_ten_thousand_sequences() {
+fn no_forbidden_motion_in_ten_thousand_sequences() {
     let tally = campaign::fixed("sequences", 10_000_u64.div_ceil((ROUNDS * AXES) as u64), judged);
     // Each kind of end came about.
     let Tally { sequences, accepted, done, failed, aborted, stops, effects, .. } = tally;
@@ -233,6 +233,6 @@ fn nothing_moves_that_must_not_in_ten_thousand_sequences() {
 
 #[test]
 #[ignore = "new seeds: minutes, in a release build"]
-fn nothing_moves_that_must_not_in_sequences_of_new_seeds() {
+fn no_forbidden_motion_in_sequences_of_new_seeds() {
     campaign::long("sequences", judged);
 }

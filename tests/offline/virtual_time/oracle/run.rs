@@ -185,7 +185,7 @@ impl std::ops::AddAssign for Tally {
 
 /// What goes on at an axis over several turns.
 #[derive(Default)]
-struct Around {
+struct Disturbances {
     /// The setpoint that is given again, and until which turn.
     level: Option<(f64, u64)>,
     /// It is disconnected, or loses datagrams, until then.
@@ -247,7 +247,7 @@ pub struct Run {
     tool: bool,
     written: bool,
     watches: Vec<Watch>,
-    around: Vec<Around>,
+    around: Vec<Disturbances>,
     slots: Slots,
     /// So many slots are passed over before each turn until that one.
     overload: (u32, u64),
@@ -277,7 +277,7 @@ impl Run {
             tool: false,
             written: false,
             watches,
-            around: (0..AXES).map(|_| Around::default()).collect(),
+            around: (0..AXES).map(|_| Disturbances::default()).collect(),
             slots: Slots::default(),
             overload: (0, 0),
             cut: None,

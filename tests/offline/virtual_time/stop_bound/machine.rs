@@ -28,7 +28,7 @@ struct Injection {
     fault: Fault,
     /// Whom it befell; `None` = all.
     axis: Option<usize>,
-    /// Who has to be told to stop.
+    /// The axes that have to get a stop.
     axes: Vec<usize>,
     injected_at: u64,
     /// The cycle from which its bound counts, once that is known.
@@ -210,7 +210,7 @@ impl Machine {
         self.b.status().planned - 1
     }
 
-    /// The last slot up to `cycle` in which `axis` is asked.
+    /// The last slot up to `cycle` in which `axis` gets a request.
     fn own_slot(&self, axis: usize, cycle: u64) -> u64 {
         let (divisor, phase) = (self.divisor(axis), u64::from(self.b.drives[axis].axis.phase));
         cycle - (cycle + divisor - phase) % divisor
@@ -234,7 +234,7 @@ impl Machine {
             let watch = &mut self.watches[axis];
             for Spoken { at, request } in wire {
                 if let Err(what) = watch.reported(self.b.slot(at), &request) {
-                    panic!("axis {axis} was told {what}");
+                    panic!("axis {axis} got {what}");
                 }
             }
             for received in std::mem::take(&mut self.b.tape(axis).received) {
@@ -265,7 +265,7 @@ impl Machine {
                 EventKind::Stopped(cause) => {
                     assert!(expected, "axis {axis} was stopped for nothing: {event}");
                     watch.stopped =
-                        Some(Stopped { cause, good_at: watch.good_at, told_at: None, off: false });
+                        Some(Stopped { cause, good_at: watch.good_at, requested_at: None, off: false });
                     watch.enabled = false;
                 }
                 EventKind::Ended { command, outcome, .. } => {
@@ -519,34 +519,36 @@ impl Machine {
                 Dropping | Late => self.watches[axis].stopped.map(|stopped| stopped.good_at),
                 Starved => {
                     let stream = self.watches[axis].stream.as_ref().unwrap();
-                    (stream.reported == stream.pushed).then(|| stream.told_at + self.divisor(axis) - 1)
+                    (stream.reported == stream.pushed).then(|| stream.requested_at + self.divisor(axis) - 1)
                 }
                 BadRow => Some(self.own_slot(axis, acted_at?) + self.divisor(axis) - 1),
                 _ => acted_at,
             }
         });
-        let reported =
-            |axis: &usize| Some((*axis, self.watches[*axis].stopped?, self.watches[*axis].stopped?.told_at?));
+        let reported = |axis: &usize| {
+            Some((*axis, self.watches[*axis].stopped?, self.watches[*axis].stopped?.requested_at?))
+        };
         let Some(reported) = axes.iter().map(reported).collect::<Option<Vec<_>>>() else { return false };
         let from = injection.from.expect("stopped, so its cause is known");
-        // A stream that loses rows, or goes on without power, becomes a fault of the drive, and that may be told first.
-        let told_first = |(axis, stopped, _): &(usize, Stopped, u64)| {
+        // A stream that loses rows, or goes on without power, becomes a fault of the drive, and that may be reported
+        // first.
+        let reported_first = |(axis, stopped, _): &(usize, Stopped, u64)| {
             Some(*axis) == faulty && stopped.cause == StopCause::DriveFault
         };
-        let may = matches!(fault, Dropping | Late | PowerCut) && reported.iter().any(told_first);
+        let may = matches!(fault, Dropping | Late | PowerCut) && reported.iter().any(reported_first);
         let fault = if may { DriveError } else { fault };
         let tally = self.table.0.entry(fault).or_default();
         tally.faults += 1;
-        for (axis, stopped, told_at) in reported {
+        for (axis, stopped, requested_at) in reported {
             let own = faulty.is_none_or(|faulty| faulty == axis);
             let cause = if own { fault.cause() } else { StopCause::Group };
             let of = faulty.unwrap_or(axis);
             let [axis_plan, faulty_plan] = [axis, of].map(|index| &self.b.drives[index].axis);
             let bound = fault.bound(own, axis_plan, faulty_plan, self.stated[of]);
-            let cycles = told_at - from;
+            let cycles = requested_at - from;
             assert!(
                 cycles <= bound,
-                "{fault:?} of {faulty:?}: axis {axis} was told {cycles} cycles after {from}, not {bound}"
+                "{fault:?} of {faulty:?}: axis {axis} got its stop {cycles} cycles after {from}, not {bound}"
             );
             assert_eq!(stopped.cause, cause, "{fault:?} of {faulty:?}: axis {axis}");
             tally.note(cycles, bound);
@@ -568,12 +570,12 @@ impl Machine {
             let stopped = watch.stopped.expect("found running");
             // The first of a group takes the others along before they are online themselves.
             assert!(matches!(stopped.cause, StopCause::FoundRunning | StopCause::Group));
-            let cycles = stopped.told_at.expect("told to stop") - watch.online_at;
+            let cycles = stopped.requested_at.expect("it got a stop") - watch.online_at;
             let plan = &self.b.drives[axis].axis;
             let bound = FoundRunning.bound(true, plan, plan, 0);
             assert!(
                 cycles <= bound,
-                "found running: axis {axis} was told after {cycles} cycles, not {bound}"
+                "found running: axis {axis} got its stop after {cycles} cycles, not {bound}"
             );
             let tally = self.table.0.entry(FoundRunning).or_default();
             tally.faults += 1;

@@ -10,7 +10,7 @@
 //! | `machine` | a machine of any shape, brought into motion, given a fault, and brought back |
 //! | `moons` | drives with their own clock, and edges |
 //! | `lenze` | drives in turn on one wire |
-//! | `watch` | what one drive is told |
+//! | `watch` | the requests to one drive |
 
 mod lenze;
 mod machine;
@@ -94,7 +94,7 @@ impl Fault {
 #[derive(Clone, Copy, Debug, Default)]
 struct Tally {
     faults: u64,
-    /// Drives that had to be told.
+    /// Drives that had to get a stop.
     stops: u64,
     /// The longest way from the cause to the wire, cycles.
     longest: u64,

@@ -20,7 +20,7 @@ fn drives(divisors: [u32; 2], phase: u32, bucket: u32) -> Vec<MoonsDrive> {
 
 /// Silence so many cycles after another speed was given to both: the cycles from the last packet of the first one to
 /// the stop of each.
-fn told(divisors: [u32; 2], phase: u32, bucket: u32, after: u64) -> ([u64; 2], u64) {
+fn stopped(divisors: [u32; 2], phase: u32, bucket: u32, after: u64) -> ([u64; 2], u64) {
     let mut m = Moons::new(drives(divisors, phase, bucket));
     m.ready();
     for index in 0..2 {
@@ -45,7 +45,7 @@ fn told(divisors: [u32; 2], phase: u32, bucket: u32, after: u64) -> ([u64; 2], u
     let stops = [0, 1].map(|index| {
         let came = m.came(index, before[index]);
         let stop = came.iter().find(|came| came.word & STOPS != 0);
-        let stop = stop.unwrap_or_else(|| panic!("drive {index} of {divisors:?} was told no stop"));
+        let stop = stop.unwrap_or_else(|| panic!("drive {index} of {divisors:?} got no stop"));
         m.slot(stop.at) - last
     });
     (stops, bound)
@@ -60,11 +60,11 @@ fn a_stop_leaves_within_its_bound_in_every_phase_of_a_held_command() {
         let most = divisors[0].max(divisors[1]);
         let phases = (0..=8 * u64::from(most)).flat_map(|after| (0..most).map(move |phase| (after, phase)));
         for (after, phase) in phases {
-            let (stops, bound) = told(divisors, phase, bucket, after);
+            let (stops, bound) = stopped(divisors, phase, bucket, after);
             for (index, cycles) in stops.into_iter().enumerate() {
                 assert!(
                     cycles <= bound,
-                    "{divisors:?}, bucket {bucket}, {after} cycles after the command: drive {index} was told \
+                    "{divisors:?}, bucket {bucket}, {after} cycles after the command: drive {index} got its stop \
                      after {cycles} cycles, not {bound}"
                 );
                 longest = longest.max(cycles);

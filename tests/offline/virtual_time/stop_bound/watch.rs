@@ -1,4 +1,4 @@
-//! What one drive is told: from its latch until it is enabled again nothing but to stop.
+//! The requests to one drive: from its latch until it is enabled again only a stop.
 
 use fieldbeat::axis::StopCause;
 use fieldbeat::bus::linudp::{ControlWord, StreamCommand};
@@ -32,7 +32,7 @@ pub fn says(request: &Request) -> Says {
     Says { stop: stop || command == STOP_COMMAND, off, on, go: go || ![0, STOP_COMMAND].contains(&command) }
 }
 
-/// What one drive is told, and what it says.
+/// The requests to one drive, and its reports.
 #[derive(Default)]
 pub struct Watch {
     /// Something was written to it at all.
@@ -54,8 +54,8 @@ pub struct Stopped {
     /// The cycle of the last good exchange before.
     pub good_at: u64,
     /// The cycle whose send carried the first stop request.
-    pub told_at: Option<u64>,
-    /// It has heard that it shall power off.
+    pub requested_at: Option<u64>,
+    /// It has received the power off.
     pub off: bool,
 }
 
@@ -70,7 +70,7 @@ pub struct Stream {
     pub starving: bool,
     /// Those that went out, the cycle of the last one, and its header: each row has another count.
     pub reported: u32,
-    pub told_at: u64,
+    pub requested_at: u64,
     pub header: u16,
 }
 
@@ -83,10 +83,10 @@ impl Watch {
             && StreamCommand::from_id(motion.header >> 4).is_some()
             && motion.header != std::mem::replace(&mut stream.header, motion.header)
         {
-            (stream.reported, stream.told_at) = (stream.reported + 1, cycle);
+            (stream.reported, stream.requested_at) = (stream.reported + 1, cycle);
         }
         let Some(stopped) = &mut self.stopped else { return Ok(()) };
-        let first = stopped.told_at.is_none();
+        let first = stopped.requested_at.is_none();
         let wrong = match () {
             _ if go => "a motion",
             _ if on && stopped.off => "power on after power off",
@@ -94,10 +94,10 @@ impl Watch {
             _ => "",
         };
         if !wrong.is_empty() {
-            return Err(format!("told {wrong} in cycle {cycle}, {stopped:?}: {request:x?}"));
+            return Err(format!("got {wrong} in cycle {cycle}, {stopped:?}: {request:x?}"));
         }
         if stop && first {
-            stopped.told_at = Some(cycle);
+            stopped.requested_at = Some(cycle);
         }
         Ok(())
     }

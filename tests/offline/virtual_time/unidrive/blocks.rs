@@ -72,7 +72,7 @@ fn three_parameters_are_written_and_read_by_the_telegrams_of_the_manual() {
 }
 
 #[test]
-fn what_the_drive_refuses_is_named_and_what_stands_before_it_is_written() {
+fn a_refused_parameter_of_a_block_is_named_and_those_before_it_are_written() {
     let mut b = bench();
     let refused = write(&mut b, "01.022", &[100, 600_000, 300]).unwrap_err().to_string();
     assert!(refused.starts_with("drive u0: write 01.023 = 60000.0 rpm "), "{refused}");

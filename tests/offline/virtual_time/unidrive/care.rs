@@ -1,4 +1,4 @@
-//! What must not move, or stop otherwise than it was told, whatever state a drive is found or left in.
+//! No unrequested motion and no other stop than the requested one, in whatever state a drive is found or left.
 
 use fieldbeat::Flow;
 use fieldbeat::axis::State;
@@ -38,7 +38,7 @@ fn neither_a_connection_nor_an_enable_runs_what_was_left_in_the_control_word() {
 }
 
 #[test]
-fn what_runs_by_its_terminals_is_taken_over_at_its_speed_and_ramps_down() {
+fn a_drive_running_by_its_terminals_is_taken_over_at_its_speed_and_ramps_down() {
     for via in VIAS {
         let change = |_, drive: &mut Unidrive| drive.axis.stop.deceleration = 4.0;
         let mut b = Bench::beside(1, via, change, by_terminals, Vec::new());

@@ -43,8 +43,8 @@ impl Subject for Unidrive {
             Ok((_, Request::Write { address: written, .. })) => written == address,
             _ => false,
         };
-        let heard = std::mem::take(&mut self.bench.tap(0).received);
-        self.received += heard.iter().filter(is_one).count();
+        let received = std::mem::take(&mut self.bench.tap(0).received);
+        self.received += received.iter().filter(is_one).count();
         self.received
     }
 }

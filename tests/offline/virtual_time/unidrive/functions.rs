@@ -86,7 +86,7 @@ fn a_server_without_function_23_is_commanded_as_one_that_has_it() {
 }
 
 #[test]
-fn a_drive_that_is_said_to_have_no_function_23_is_never_asked_by_it_and_read_as_ever() {
+fn a_drive_configured_without_function_23_never_gets_it_and_is_read_as_usual() {
     for via in VIAS {
         let mut b = Bench::new(1, via, |_, drive| drive.functions = Functions::Apart);
         b.online();
@@ -110,7 +110,7 @@ fn a_drive_that_is_said_to_have_no_function_23_is_never_asked_by_it_and_read_as_
 
 /// Its answers to FC23 are lost, so that nobody knows whether they were carried out.
 #[test]
-fn what_was_carried_out_without_an_answer_is_not_commanded_twice() {
+fn a_write_carried_out_without_answer_is_not_repeated() {
     for via in VIAS {
         let mut served = bench(via, ReadWrite::Served);
         work(&mut served);

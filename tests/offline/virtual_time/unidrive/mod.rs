@@ -37,18 +37,18 @@ const OTHER: SocketAddrV4 = SocketAddrV4::new(Ipv4Addr::new(10, 8, 8, 8), 8_888)
 
 type Tamper = Box<dyn FnMut(&mut Vec<u8>) + Send>;
 
-/// A drive, what it hears, and what is changed of that.
+/// A drive, the requests that it receives, and their changes.
 struct Tapped {
     drive: UnidriveSim,
     /// Every request, the handshake's too.
     received: Vec<Vec<u8>>,
-    /// Changes what the drive hears, and what it answers.
+    /// Changes the requests that the drive receives, and its answers.
     request: Option<Tamper>,
     reply: Option<Tamper>,
 }
 
 impl Tapped {
-    /// What another master is told.
+    /// The replies to another master.
     fn ask(&mut self, now: Time, request: Request<'_>) -> Vec<u8> {
         let mut bytes = vec![0; request.size()];
         request.emit(Header { transaction: 7, unit: 255 }, &mut bytes);
@@ -282,7 +282,7 @@ fn key(own: Own) -> &'static str {
 }
 
 #[test]
-fn a_value_that_the_drive_refuses_is_found_out_and_ends_the_order() {
+fn a_value_refused_by_the_drive_is_detected_and_ends_the_command() {
     for via in VIAS {
         for read_write in [true, false] {
             let what = format!("{via:?}, function 23: {read_write}");
@@ -334,7 +334,7 @@ fn an_over_current_trip_is_reset_as_soon_as_the_drive_takes_it_and_not_before() 
 }
 
 #[test]
-fn a_missing_hardware_enable_is_told_when_the_drive_does_not_come_up() {
+fn a_missing_hardware_enable_is_reported_when_the_drive_does_not_come_up() {
     for via in VIAS {
         let mut b = Bench::new(1, via, |_, drive| drive.simulate.hardware_enable = false);
         b.online();
@@ -397,7 +397,7 @@ const MISCHIEF: [Mischief; 9] = [
     ("garbage", |reply| *reply = vec![0xA5; 40], &[Own::Garbage], true),
     ("another unit", |reply| reply[6] = 7, &[Own::WrongUnit, Own::GivenUp], true),
     ("another function", |reply| reply[7] = function::READ, &[Own::WrongFunction, Own::GivenUp], true),
-    ("fewer registers than were asked for", shortened, &[Own::WrongLength, Own::GivenUp], true),
+    ("fewer registers than were requested", shortened, &[Own::WrongLength, Own::GivenUp], true),
     ("a count that lies", |reply| reply[8] ^= 2, &[Own::WrongLength, Own::GivenUp], true),
     ("another transaction", |reply| reply[0] ^= 0x40, &[Own::GivenUp], true),
     ("busy", |reply| refuse(reply, 6), &[Own::Exceptions], false),
@@ -409,7 +409,7 @@ fn shortened(reply: &mut Vec<u8>) {
     (reply[5], reply[8]) = (reply[5] - 2, reply[8] - 2);
 }
 
-/// The drive refuses what it was asked, by this exception.
+/// The drive refuses the request, by this exception.
 fn refuse(reply: &mut Vec<u8>, exception: u8) {
     *reply = [&reply[..5], &[3, reply[6], reply[7] | function::EXCEPTION, exception]].concat();
 }

@@ -7,7 +7,7 @@ use super::*;
 const BOUND: u64 = 60;
 
 #[test]
-fn another_master_that_switches_the_drive_off_is_named_and_no_hardware_enable_is_blamed() {
+fn a_power_off_by_another_master_is_reported_as_such_and_not_as_a_missing_hardware_enable() {
     for via in VIAS {
         let mut b = Bench::enabled(1, via, |_, _| {});
         b.turning(0, 4.0);

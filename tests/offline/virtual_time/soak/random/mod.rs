@@ -123,7 +123,7 @@ fn a_fault_of_a_pause_that_comes_again_is_not_reset_again() {
 }
 
 #[test]
-fn nothing_moves_that_must_not_in_random_soak_tests() {
+fn no_forbidden_motion_in_random_soak_tests() {
     let tally = campaign::fixed("soak", 24, of_seed);
     if campaign::only().is_none() {
         // Each kind of event came about.
@@ -134,6 +134,6 @@ fn nothing_moves_that_must_not_in_random_soak_tests() {
 
 #[test]
 #[ignore = "new seeds: minutes, in a release build"]
-fn nothing_moves_that_must_not_in_soak_tests_of_new_seeds() {
+fn no_forbidden_motion_in_soak_tests_of_new_seeds() {
     campaign::long("soak", of_seed);
 }
