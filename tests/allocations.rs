@@ -344,14 +344,14 @@ fn enable_and_jog(sim: &mut Simulation, index: usize, velocity: f64) {
 
 /// Calls that go past the loop: how many were answered, and how many refused.
 #[derive(Default)]
-struct Asked {
+struct AcyclicCalls {
     open: Vec<CallTicket>,
     answered: u32,
     refused: u32,
 }
 
-impl Asked {
-    /// Turns the loop, and asks three axes in turn for these, axis by axis. The application may allocate.
+impl AcyclicCalls {
+    /// Turns the loop, and posts these calls to three axes in turn, axis by axis. The application may allocate.
     fn turns(&mut self, sim: &mut Simulation, calls: &[[Call; 2]; 3]) {
         for turn in 0..1_000 {
             sim.step();
@@ -432,7 +432,7 @@ fn a_line_allocates_nothing_from_its_bring_up_to_its_end() {
 
     let [read, refused] = ["0x6041:0", "0x5FFF:7"].map(|object| Objects.read(object));
     let calls = [[read.unwrap(), refused.unwrap()]; 3];
-    let mut asked = Asked::default();
+    let mut acyclic = AcyclicCalls::default();
     // Of this master and of this protocol, and else all ones.
     let mut broken = [0xFF; 1_514];
     broken[6..14].copy_from_slice(&[0x12, 0x10, 0x10, 0x10, 0x10, 0x10, 0x88, 0xA4]);
@@ -441,7 +441,7 @@ fn a_line_allocates_nothing_from_its_bring_up_to_its_end() {
         up = sim.run_until(20_000, is_up);
         while up && sim.status().executed < 100_000 {
             (0..3).for_each(|index| enable_and_jog(&mut sim, index, 5.0));
-            asked.turns(&mut sim, &calls);
+            acyclic.turns(&mut sim, &calls);
             unwatched(|| assert!(sim.world().set_segment_faults(LINE, bad_weather(rounds.into(), MS))));
             // A slave takes no frame with a wrong check sequence: what is broken comes to the master only.
             for length in [20, 64, 600] {
@@ -456,7 +456,7 @@ fn a_line_allocates_nothing_from_its_bring_up_to_its_end() {
             sim.run(500);
             unwatched(|| assert!(sim.world().cut(LINE, None)));
             up = sim.run_until(20_000, is_up);
-            asked.forget();
+            acyclic.forget();
             rounds += 1;
         }
         enable_and_jog(&mut sim, 0, 5.0);
@@ -468,7 +468,7 @@ fn a_line_allocates_nothing_from_its_bring_up_to_its_end() {
     assert!(up, "round {rounds}: {:?}", end.drives);
     assert_eq!(count, 0, "in {executed} cycles, {rounds} rounds");
     // All of it really happened.
-    let Asked { answered, refused, .. } = asked;
+    let AcyclicCalls { answered, refused, .. } = acyclic;
     assert!(rounds >= 3 && answered > rounds && refused > rounds, "{rounds}: {answered}, {refused}");
     for index in [RESTARTED, CUT_OFF] {
         assert!(end.drives[index].losses >= u64::from(rounds), "{:?}", end.drives[index]);
@@ -514,7 +514,7 @@ fn packets_allocate_nothing_while_their_connections_are_open() {
     sim.run(2_000);
     let (mut rounds, before) = (0, sim.status().executed);
     let count = allocations(|| {
-        // A silent session asks something after 30 s.
+        // A silent session sends a probe after 30 s.
         while sim.status().executed < before + 10_000 {
             for index in 0..3 {
                 enable_and_jog(&mut sim, index, 1.0 + f64::from(rounds % 3));
@@ -609,13 +609,13 @@ fn a_serial_wire_allocates_nothing_from_its_claim_to_its_end() {
         let notation = sim.axis(index).acyclic().notation().clone();
         ["C0061", "C1999"].map(|code| notation.read(code).unwrap())
     });
-    let mut asked = Asked::default();
+    let mut acyclic = AcyclicCalls::default();
     let (mut rounds, mut up) = (0_u32, false);
     let count = allocations(|| {
         up = sim.run_until(20_000, is_up);
         while up && sim.status().executed < 30_000 {
             (0..3).for_each(|index| enable_and_jog(&mut sim, index, 5.0));
-            asked.turns(&mut sim, &calls);
+            acyclic.turns(&mut sim, &calls);
             let faults = FaultPlan { corrupt: 0.02, lost_byte: 0.02, ..bad_weather(rounds.into(), MS) };
             unwatched(|| assert!(sim.world().set_wire_faults(PORT, faults)));
             sim.run(2_000);
@@ -630,7 +630,7 @@ fn a_serial_wire_allocates_nothing_from_its_claim_to_its_end() {
                 assert!(sim.world().plug_port(PORT));
                 up = sim.run_until(20_000, is_up);
             });
-            asked.forget();
+            acyclic.forget();
             rounds += 1;
         }
         enable_and_jog(&mut sim, 0, 5.0);
@@ -643,7 +643,7 @@ fn a_serial_wire_allocates_nothing_from_its_claim_to_its_end() {
     assert_eq!(count, 0, "in {executed} cycles, {rounds} rounds");
     // All of it really happened.
     assert!(rounds >= 3 && others.load(Ordering::Relaxed) > 0, "{rounds}: {others:?}");
-    let Asked { answered, refused, .. } = asked;
+    let AcyclicCalls { answered, refused, .. } = acyclic;
     assert!(answered > 10 * rounds && refused > 10 * rounds, "{rounds}: {answered}, {refused}");
     for drive in &end.drives {
         assert!(drive.losses >= u64::from(rounds), "{drive:?}");

@@ -211,7 +211,7 @@ impl Bench {
         Found { row: count(&mut done.iter().copied()), host: count(&mut done.iter().map(before)) }
     }
 
-    /// Asks the task to do something, and waits until it has.
+    /// Requests something of the task, and waits until it is done.
     fn give(&self, what: fn(&Tasks) -> &AtomicBool) -> (Time, Time) {
         let from = MonotonicClock::read();
         what(&self.tasks).store(true, Ordering::Relaxed);
@@ -360,7 +360,7 @@ fn work() -> Found {
 fn host() -> Found {
     let bench = Bench::start(4, Realtime::Require, Guard::Fixed(PERIOD_NS / 2));
     let tid = thread(std::process::id(), "fb-loop");
-    let mut child = again("what_is_found_is_what_was_done", &format!("hold {tid}"))
+    let mut child = again("found_causes_are_the_injected_ones", &format!("hold {tid}"))
         .stdin(Stdio::piped())
         .stdout(Stdio::piped())
         .spawn()
@@ -406,7 +406,7 @@ fn hold(tid: libc::pid_t) {
     // Its end lets the thread go.
 }
 
-/// A normal thread, whose sleeps the kernel may stretch if it is told so.
+/// A normal thread, whose sleeps the kernel may stretch on request.
 fn timer() -> Found {
     Bench::start(5, Realtime::Off, Guard::Off).disturb(ROUNDS, |bench| {
         let (from, to) = bench.give(|tasks| &tasks.slack);
@@ -427,8 +427,8 @@ fn drive() -> Found {
 
 #[test]
 #[ignore = "needs root: SCHED_FIFO, and a debugger's rights over its parent"]
-fn what_is_found_is_what_was_done() {
-    let name = "what_is_found_is_what_was_done";
+fn found_causes_are_the_injected_ones() {
+    let name = "found_causes_are_the_injected_ones";
     match role() {
         // In a process of its own: its memory is locked.
         None => {

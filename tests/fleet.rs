@@ -41,7 +41,7 @@ const MINUTE: u64 = 60 * S / PERIOD_NS;
 /// Where another seed is another run already.
 const EARLY: u64 = MINUTE / 10;
 
-/// Latched and heard for so many cycles, an axis has braked, whatever it did.
+/// Latched and connected for so many cycles, an axis has braked, whatever it did.
 const BRAKED_AFTER: u32 = 100;
 
 /// Everything that can befall a wire. A flipped bit may tell a drive anything, and nothing can be promised of it then;
@@ -139,7 +139,7 @@ struct Axis {
     /// Rows of the stream that are still to be pushed.
     rows: u32,
     next: Row,
-    /// For so many cycles it has been latched and heard.
+    /// For so many cycles it has been latched and connected.
     latched: u32,
     /// Motions that came to their end.
     done: u64,
@@ -188,7 +188,7 @@ impl Axis {
         }
     }
 
-    /// What the application asks for in this cycle, and the rows that it pushes.
+    /// The commands of the application in this cycle, and the rows that it pushes.
     fn act(&mut self, axis: &mut fieldbeat::Axis, feedback: &Feedback) {
         if let Some(command) = self.wants(feedback)
             && let Ok(id) = axis.post(command)
@@ -208,7 +208,7 @@ impl Axis {
         }
     }
 
-    /// What the application asks for next, if it asks for anything.
+    /// The next command of the application, if there is one.
     fn wants(&mut self, feedback: &Feedback) -> Option<Command> {
         if feedback.link != Link::Online {
             return None;
@@ -542,9 +542,9 @@ fn thirty_two_clocks_for_an_hour() {
 }
 
 /// A whole segment of Lenze drives at 1.5 Mbit/s in turn, and LinMots in every cycle of the same loop: every slot is
-/// executed, and each drive is asked in its own ones and answers.
+/// executed, and each drive gets requests in its own ones and answers.
 #[test]
-fn a_segment_of_thirty_one_drives_beside_thirty_two_linmots() {
+fn a_segment_of_thirty_one_drives_next_to_thirty_two_linmots() {
     const CYCLES: u64 = 20_000;
     let lenze = |index: u8| {
         let mut drive = LenzeDrive::new(format!("l{index}"), 3 + index);

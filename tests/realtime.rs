@@ -164,12 +164,12 @@ fn homing_streams_and_moves_do_not_fault_either() {
 }
 
 /// In a process of its own, since all its memory is locked. The task counts for whole cycles: it runs on the loop's
-/// thread. Meanwhile the kernel is asked again and again to write back all that is to be on a disk: the records that
+/// thread. Meanwhile the kernel gets request after request to write back all that is to be on a disk: the records that
 /// outlive the program are in no such memory.
 #[test]
 #[ignore = "needs root: SCHED_FIFO and locked memory"]
-fn a_million_cycles_neither_fault_nor_allocate_whatever_happens() {
-    let name = "a_million_cycles_neither_fault_nor_allocate_whatever_happens";
+fn a_million_cycles_with_random_events_neither_fault_nor_allocate() {
+    let name = "a_million_cycles_with_random_events_neither_fault_nor_allocate";
     if role().is_none() {
         let ended = Program::spawn(&mut again(name, "million")).end_within(10 * LONG);
         ended.expect(0);
@@ -226,11 +226,11 @@ fn a_million_cycles_neither_fault_nor_allocate_whatever_happens() {
     );
 }
 
-/// A drive that is switched off on a real network: the kernel queues what is sent to it, while it asks for its hardware
-/// address in vain, and the queue takes its room from the socket that all drives share.
+/// A drive that is switched off on a real network: the kernel queues what is sent to it, while it looks for its
+/// hardware address in vain, and the queue takes its room from the socket that all drives share.
 #[test]
 #[ignore = "needs root: network namespaces (iproute2)"]
-fn a_neighbour_that_is_dead_starves_nobody() {
+fn a_dead_drive_delays_no_other_drive() {
     let machine = Machine::new(2).on(CABLE_NET);
     let cable = Cable::new(2, &[11, 12, 13]);
     let config = machine.plain(4);
@@ -289,11 +289,12 @@ fn a_cable_that_was_pulled_and_put_back_brings_all_drives_back() {
     assert_eq!(drive(&summary, "d0")["losses"], 1, "{summary}");
 }
 
-/// The kernel of the master asks for its hardware address in vain, as if its plug was pulled; the drive itself runs on.
+/// The kernel of the master looks for its hardware address and gets no answer, as if its plug was pulled; the drive
+/// itself runs on.
 #[test]
 #[ignore = "needs root: network namespaces (iproute2)"]
-fn a_neighbour_that_dies_in_mid_motion_takes_its_group_along_and_nobody_else() {
-    let name = "a_neighbour_that_dies_in_mid_motion_takes_its_group_along_and_nobody_else";
+fn a_drive_lost_in_mid_motion_stops_its_own_group_only() {
+    let name = "a_drive_lost_in_mid_motion_stops_its_own_group_only";
     if let Some(role) = role() {
         return controller::play(&role);
     }
@@ -320,7 +321,7 @@ fn a_neighbour_that_dies_in_mid_motion_takes_its_group_along_and_nobody_else() {
     assert!(!partner.moving && partner.position < TARGET, "{partner:?}");
     let other = onlooker.look(machine.drive(2));
     assert!(other.operating && other.moving && other.position > partner.position, "{other:?}");
-    // What it is asked for reaches it now.
+    // Requests reach it now.
     cable.address("add", &machine, 12);
     let dead = onlooker.await_sight(machine.drive(1), |sight| !sight.powered);
     assert!(!dead.moving && dead.position < TARGET, "{dead:?}");

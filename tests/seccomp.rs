@@ -1,5 +1,5 @@
-//! What the loop asks of the kernel: a filter on its thread kills the process at any system call that is not listed
-//! here, and at one that could wait where it must not. What it asks of the allocator, over the same cycles: nothing.
+//! The system calls of the loop: a filter on its thread kills the process at any system call that is not listed
+//! here, and at one that could wait where it must not. Its calls of the allocator, over the same cycles: none.
 //!
 //! Needs no privilege: whoever has given up the right to gain any (PR_SET_NO_NEW_PRIVS) may filter itself. Since the
 //! process dies, it is a child.
@@ -64,7 +64,7 @@ enum With {
     Value(usize, c_int),
 }
 
-/// `epoll_wait` as the C library asks for it: younger machines have no call of that name.
+/// `epoll_wait` as the C library calls it: younger machines have no call of that name.
 #[cfg(target_arch = "x86_64")]
 const EPOLL_WAIT: c_long = libc::SYS_epoll_wait;
 #[cfg(target_arch = "aarch64")]
@@ -216,7 +216,7 @@ impl<C: Clock + Send + 'static> Confined<C> {
         let recorder = TelemetryThread::start(records, measured, Taps::default(), None, None, || {}).unwrap();
         let engine = Arc::new(Mutex::new(Some(engine)));
         let of_thread = Arc::clone(&engine);
-        // Not to be waited for: it leaves without telling its handle.
+        // Not to be waited for: it leaves without notifying its handle.
         drop(std::thread::spawn(move || {
             let mut engine = of_thread.lock().unwrap();
             let of_loop = engine.as_mut().unwrap();
@@ -348,7 +348,7 @@ fn forty_thousand_cycles_need_no_other_system_call_than_those_listed() {
     }
 }
 
-/// The begin of a loop that records, and its bus: it comes up, is commanded and asked past the loop, lost, and found
+/// The begin of a loop that records, and its bus: it comes up, is commanded and read past the loop, lost, and found
 /// again. On a busy computer without real time the drives may be late, or not synchronous for long: that they were
 /// online at all is enough.
 struct Lives<F> {
@@ -573,7 +573,7 @@ fn live_on_connections() {
         let tell = Arc::clone(&reported);
         drop(std::thread::spawn(move || {
             let talks = talk(&mut *streams, Talks { replies: 10_000, ends: 100 });
-            // Nobody sleeps until it is told, so that telling takes no call.
+            // No thread sleeps until it is notified, so that a notification takes no call.
             let _ = tell.set(talks);
             // The connections are closed with the process.
             std::mem::forget((streams, tell));
@@ -627,7 +627,7 @@ const CRIMES: [(&str, fn()); 4] = [
     }),
     ("a sleep that is not absolute", || {
         let nanosecond = libc::timespec { tv_sec: 0, tv_nsec: 1 };
-        // SAFETY: a valid timespec, and the remainder is not asked for.
+        // SAFETY: a valid timespec, and the remainder is not requested.
         unsafe { libc::clock_nanosleep(libc::CLOCK_MONOTONIC, 0, &nanosecond, std::ptr::null_mut()) };
     }),
 ];

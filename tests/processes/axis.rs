@@ -120,7 +120,7 @@ fn a_script_of_commands_goes_on_where_the_one_before_has_ended() {
 }
 
 #[test]
-fn whatever_ends_a_command_in_mid_motion_stops_its_axis_and_takes_its_power() {
+fn any_end_of_axis_in_mid_motion_stops_the_axis_and_removes_power() {
     let machine = Machine::new(167);
     let config = config(&machine, "away");
     let _drives = serve(&config);

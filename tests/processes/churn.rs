@@ -15,7 +15,7 @@ use super::{ask, await_status, master, patient_cycle, simulation};
 const SECONDS: u64 = 20 * 60;
 /// Rounds whose largest values are compared: the first ones fill what is kept for ever, such as histograms.
 const ROUNDS: usize = 10;
-/// Of each of two connections the old socket and the new one may be open, and the one that asks for the status.
+/// Of each of two connections the old socket and the new one may be open, and the one that reads the status.
 const SLACK_DESCRIPTORS: usize = 5;
 /// The thread that answers the status may not have ended yet, and may have in all of the first rounds.
 const SLACK_THREADS: usize = 1;

@@ -1,5 +1,5 @@
-//! When a process dies in mid-motion: a controller that is told to end or killed, and the master that comes after.
-//! What became of the axes is asked of the drives themselves.
+//! When a process dies in mid-motion: a controller that is terminated or killed, and the master that comes after.
+//! The state of the axes is read from the drives themselves.
 
 use std::path::Path;
 use std::thread::sleep;
@@ -13,14 +13,14 @@ use super::support::{Ended, LONG, Machine, Program, drive, role, run, until};
 use super::{assert_left, online, simulation};
 
 /// The test that plays the controllers of all others.
-const CONTROLLER: &str = "deaths::a_controller_that_is_told_to_end_ramps_down_and_powers_off";
+const CONTROLLER: &str = "deaths::a_terminated_controller_ramps_down_and_powers_off";
 
 fn controller(way: Way, config: &Path) -> Program {
     controller::start(&mut controller::child(CONTROLLER, way, config))
 }
 
 #[test]
-fn a_controller_that_is_told_to_end_ramps_down_and_powers_off() {
+fn a_terminated_controller_ramps_down_and_powers_off() {
     if let Some(role) = role() {
         return controller::play(&role);
     }
@@ -45,7 +45,7 @@ fn a_controller_that_is_told_to_end_ramps_down_and_powers_off() {
 }
 
 #[test]
-fn what_a_killed_controller_left_moving_the_next_master_stops_even_if_it_is_ended_meanwhile() {
+fn the_next_master_stops_axes_that_a_killed_one_left_moving_even_if_it_ends_meanwhile() {
     let machine = Machine::new(25);
     let config = config(&machine, "m.toml", 2, "", "");
     let _sim = simulation(&config);
@@ -74,7 +74,7 @@ fn what_a_killed_controller_left_moving_the_next_master_stops_even_if_it_is_ende
 }
 
 #[test]
-fn what_a_killed_controller_left_moving_can_be_left_alone_and_is_named_at_the_end() {
+fn axes_that_a_killed_controller_left_moving_can_be_left_alone_and_are_named_at_the_end() {
     let machine = Machine::new(27);
     let config = config(&machine, "m.toml", 2, "", "on_found_running = \"refuse\"");
     let _sim = simulation(&config);
@@ -159,7 +159,7 @@ fn killed_demos(machine: &Machine, count: u64) -> Vec<u64> {
 }
 
 #[test]
-fn of_a_killed_program_every_cycle_is_in_its_recording_or_its_memory() {
+fn a_killed_program_has_every_cycle_in_its_recording_or_its_memory() {
     let machine = Machine::new(28);
     println!("cycles in memory only: {:?}", killed_demos(&machine, 4));
 }

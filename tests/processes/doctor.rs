@@ -69,7 +69,7 @@ fn keys(value: &Value, path: &str) -> Vec<String> {
 }
 
 #[test]
-fn a_user_without_rights_is_told_and_measures_all_the_same_by_keys_that_are_stable() {
+fn a_user_without_rights_is_warned_and_measures_with_stable_keys() {
     let machine = Machine::new(32);
     let mut command = as_ordinary_user(&machine);
     let program = command.get_program().to_string_lossy().into_owned();
@@ -103,7 +103,7 @@ fn a_user_without_rights_is_told_and_measures_all_the_same_by_keys_that_are_stab
     assert!(measured["plan"]["cycles"].as_u64() > periods[2]["cycles"].as_u64(), "{measured}");
     let mut factors = measured["factors"].as_array().unwrap().iter();
     let guard = factors.find(|factor| factor["name"] == "final spin (guard)").unwrap();
-    // Slots that a busy computer passed over count, too, so that both may have more than was asked for.
+    // Slots that a busy computer passed over count, too, so that both may have more than was requested.
     for side in ["without", "with"] {
         assert!(guard[side]["count"].as_u64() >= Some(15), "{guard}");
     }
@@ -162,7 +162,7 @@ fn a_mistake_is_one_line_and_a_core_that_is_not_there_is_no_mistake() {
 
 #[test]
 #[ignore = "needs root and iproute2: network namespaces"]
-fn what_it_advises_can_be_done_and_undone() {
+fn fixes_of_the_doctor_can_be_applied_and_undone() {
     let machine = Machine::new(34).on(CABLE_NET);
     let config = machine.config("m.toml", 1, "", "");
     let cable = Cable::new(34, &[11]);

@@ -26,7 +26,7 @@ use super::{
 };
 
 /// The test that plays the hosts of all others.
-const HOST: &str = "guardian::of_programs_that_are_killed_at_any_moment_every_drive_stands_and_is_off";
+const HOST: &str = "guardian::drives_of_programs_killed_at_any_moment_stand_and_are_off";
 
 /// What a host says once its drives are online, and once its axes are on their way.
 const ONLINE: &str = "drives are online";
@@ -452,7 +452,7 @@ fn kill_all(first_seed: u64, each: usize) {
 }
 
 #[test]
-fn of_programs_that_are_killed_at_any_moment_every_drive_stands_and_is_off() {
+fn drives_of_programs_killed_at_any_moment_stand_and_are_off() {
     if let Some(role) = role() {
         play(&role);
     }
@@ -525,7 +525,7 @@ fn a_program_that_is_frozen_for_a_moment_goes_on_to_its_target() {
 
 /// A drive that the master has only read may be anybody's: it is sent nothing in the master's place.
 #[test]
-fn nothing_is_sent_to_drives_that_were_not_commanded() {
+fn the_guardian_sends_nothing_to_drives_that_were_not_commanded() {
     let machine = Machine::new(103);
     let one = config(&machine, "one.toml", 1, "");
     let two = config(&machine, "two.toml", 2, "watch_after = \"off\"\nguardian_after = \"500ms\"");
@@ -609,7 +609,7 @@ fn a_batch_that_leaves_long_after_the_stop_moves_nothing() {
 
 /// The process lives on as another program: its loop is gone, without an end.
 #[test]
-fn of_a_program_that_becomes_another_one_in_mid_motion_the_drives_are_stopped() {
+fn drives_of_a_program_that_calls_exec_in_mid_motion_are_stopped() {
     let bench = Bench::new(107, 2, "");
     let mut program = host("exec", &bench.config);
     program.await_text(ONLINE);
@@ -627,7 +627,7 @@ fn of_a_program_that_becomes_another_one_in_mid_motion_the_drives_are_stopped() 
 
 /// The guardian goes by the stop plan of each axis.
 #[test]
-fn what_is_held_after_a_stop_is_held_after_that_of_the_guardian() {
+fn a_load_held_after_a_stop_is_held_after_a_stop_of_the_guardian() {
     let bench = Bench::of(115, 2, "", "stop.then = \"hold\"");
     let mut program = host("mixed", &bench.config);
     program.await_text(UNDER_WAY);
@@ -657,7 +657,7 @@ impl Bench {
 }
 
 #[test]
-fn a_guardian_is_nobodys_child_has_what_it_needs_and_outlives_the_group_of_its_master() {
+fn a_guardian_is_detached_has_its_descriptors_and_outlives_the_process_group_of_its_master() {
     let bench = Bench::new(108, 2, "");
     let mut program = host("mixed", &bench.config);
     program.await_text(ONLINE);
@@ -743,7 +743,7 @@ fn a_run_without_its_guardian_says_what_that_means_and_goes_on() {
 
 /// One that ends, one that is none, one that never starts, and one that never ends.
 #[test]
-fn what_cannot_be_a_guardian_is_named_and_its_master_runs_all_the_same() {
+fn an_unusable_guardian_is_named_and_its_master_runs() {
     let machine = Machine::new(111);
     let config = config(&machine, "m.toml", 1, "");
     let _sim = simulation(&config);

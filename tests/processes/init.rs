@@ -66,7 +66,7 @@ fn the_defaults_of_every_protocol_pass_check_and_every_key_has_its_comment() {
     }
 }
 
-/// Odd names are quoted, or refused and asked for again.
+/// Odd names are quoted, or refused and prompted for again.
 #[test]
 fn several_drives_with_odd_names_pass_check_for_every_protocol() {
     let machine = Machine::new(244);
@@ -104,7 +104,7 @@ fn several_drives_with_odd_names_pass_check_for_every_protocol() {
 }
 
 #[test]
-fn a_wrong_answer_is_explained_by_the_reader_and_asked_for_again() {
+fn a_wrong_answer_is_explained_by_the_reader_and_prompted_for_again() {
     let machine = Machine::new(245);
     let file = machine.path("machine.toml");
     let answers = "7\nlinudp-v2\n300.1.1.1\n127.0.0.1\nmaybe\nno\n1\nx\n192.168.1.10\n\
@@ -136,7 +136,7 @@ fn a_wrong_answer_is_explained_by_the_reader_and_asked_for_again() {
 /// By default the accelerations suit the velocity. A ramp that takes longer than a stop may is refused at its own
 /// question; and what is no text ends nothing.
 #[test]
-fn a_ramp_that_is_too_long_is_asked_for_again_and_so_is_what_is_no_text() {
+fn a_ramp_that_is_too_long_and_an_invalid_text_are_prompted_for_again() {
     let machine = Machine::new(252);
     for (deceleration, complaints) in [("", 0), ("100\n", 1)] {
         let file = machine.path(&format!("machine-{complaints}.toml"));
@@ -156,7 +156,7 @@ fn a_ramp_that_is_too_long_is_asked_for_again_and_so_is_what_is_no_text() {
 }
 
 #[test]
-fn nothing_is_replaced_unless_that_is_wanted_and_what_cannot_be_written_is_printed() {
+fn init_replaces_a_file_on_request_only_and_prints_what_it_cannot_write() {
     let machine = Machine::new(246);
     let file = machine.write("machine.toml", "mine");
     let defaults = ["--yes", "--protocol", "modbus-tcp"];
@@ -227,7 +227,7 @@ fn answers_that_end_in_the_middle_and_ctrl_c_write_nothing() {
 }
 
 #[test]
-fn where_nothing_can_be_found_the_way_by_hand_is_left() {
+fn init_without_a_search_result_offers_manual_entry() {
     let machine = Machine::new(249);
     for (protocol, bus, says) in [
         ("ethercat", "nosuch0\n", "nosuch0"),
@@ -311,7 +311,7 @@ fn unidrives_are_probed_and_run() {
 }
 
 #[test]
-fn a_unidrive_is_told_from_other_modbus_servers() {
+fn a_unidrive_is_distinguished_from_other_modbus_servers() {
     let machine = Machine::new(236);
     let [drive, zeros, refusing] = [20, 21, 22].map(|host| format!("{}:1502", machine.ip(host)));
     let config = format!(

@@ -252,7 +252,7 @@ const WAYS: [Away; 8] = [
 
 #[test]
 #[ignore = "needs the feature jog"]
-fn whatever_ends_a_held_key_ends_the_motion() {
+fn any_end_of_a_held_key_ends_the_motion() {
     let machine = Machine::new(155);
     let config = config(&machine, "panel");
     let _drives = serve(&config);
@@ -315,7 +315,7 @@ fn alone_the_panel_is_the_master_and_stops_when_its_terminal_hangs_up() {
         text.contains(&format!("fieldbeat jog (pid {}) operates this master", panel.child.id())),
         "{text}"
     );
-    // It is asked in the motion; the key was let go meanwhile.
+    // The prompt comes in the motion; the key was let go meanwhile.
     panel.hold_until_moving(&mut watcher);
     panel.signal(libc::SIGHUP);
     let (status, text) = panel.end();
@@ -325,7 +325,7 @@ fn alone_the_panel_is_the_master_and_stops_when_its_terminal_hangs_up() {
 
 #[test]
 #[ignore = "needs the feature jog"]
-fn where_the_terminal_reports_keys_that_go_up_one_press_runs_and_its_end_stops() {
+fn terminals_that_report_key_releases_run_while_a_key_is_pressed() {
     let machine = Machine::new(116);
     let config = config(&machine, "kitty");
     let _drives = serve(&config);

@@ -117,7 +117,7 @@ fn without_filters(command: &mut Command) -> &mut Command {
 }
 
 #[test]
-fn where_filters_are_refused_that_is_said_once_and_a_master_serves_all_the_same() {
+fn refused_system_call_filters_are_reported_once_and_the_master_serves() {
     let (_machine, config, _sim) = with_drives(23, 1);
     let mut command = Command::new(PROGRAM);
     command.arg("run").arg(&config).args(["--metrics", "0", "--json"]);
@@ -172,7 +172,7 @@ fn a_segment_whose_cable_is_pulled_after_the_rights_are_gone_comes_back() {
 
 #[test]
 #[ignore = "needs root: a directory of another user"]
-fn root_still_writes_where_it_was_asked_to() {
+fn root_still_writes_to_the_requested_place() {
     let machine = Machine::new(17);
     let config = machine.plain(1);
     let _sim = serve(&config);

@@ -38,13 +38,13 @@ fn curves(config: &Path, drive: &str) -> Ended {
 fn under_way(machine: &Machine, config: &Path, drive: &str) -> Program {
     let long = curve(machine, "long.csv", 9, 3_000);
     let mut putting = asking("linmot curve put", config, &format!("{drive} {}", long.display()));
-    // It tells every few seconds how far it is.
+    // It reports its progress every few seconds.
     putting.await_text("fieldbeat: write ");
     putting
 }
 
 #[test]
-fn what_goes_to_the_drive_comes_back_byte_for_byte() {
+fn curves_and_tables_are_read_back_byte_for_byte() {
     let (machine, config, _sim) = with_drives(90, 1);
     let (of_curve, of_table) =
         (curve_file::load(checkout(CURVE)).unwrap(), table_file::load(checkout(TABLE)).unwrap());
@@ -106,7 +106,7 @@ fn what_goes_to_the_drive_comes_back_byte_for_byte() {
 
 /// Each kind of mistake in a file has its text in the tests of its reader.
 #[test]
-fn a_wrong_file_is_told_before_anything_is_sent() {
+fn a_wrong_file_is_reported_before_anything_is_sent() {
     let machine = Machine::new(92);
     let config = machine.plain(1);
     let drive = socket(machine.drive(0));
@@ -184,7 +184,7 @@ fn a_transfer_that_is_broken_off_leaves_what_was_there_or_says_what_is_left() {
 }
 
 #[test]
-fn what_is_saved_is_there_after_a_restart_though_the_drive_was_silent_meanwhile() {
+fn saved_curves_survive_a_restart_though_the_drive_was_silent_meanwhile() {
     let machine = Machine::new(96);
     // Its link is lost on the way.
     let defaults = "health = { bucket = \"700ms\", leak = 1 }\nsimulate = { flash = \"silent\", flash_time = \
@@ -203,7 +203,7 @@ fn what_is_saved_is_there_after_a_restart_though_the_drive_was_silent_meanwhile(
 }
 
 #[test]
-fn whoever_dies_while_the_software_is_stopped_leaves_it_running() {
+fn a_client_killed_while_the_software_is_stopped_leaves_it_running() {
     let machine = Machine::new(118);
     let config = machine.config("m.toml", 1, "", "simulate = { flash = \"busy\", flash_time = \"2s\" }");
     let _sim = simulation(&config);

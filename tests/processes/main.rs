@@ -26,6 +26,7 @@ mod program;
 mod recordings;
 mod replay;
 mod report;
+mod reporting;
 mod rights;
 mod scans;
 mod service;
@@ -34,7 +35,6 @@ mod soak;
 mod stuck;
 #[path = "../support/mod.rs"]
 mod support;
-mod telling;
 mod unmatched;
 mod wires;
 
@@ -115,7 +115,7 @@ fn finish(master: Program) -> Value {
     summary
 }
 
-/// `fieldbeat WHAT CONFIG REST` under way; words of `what` and `rest` are told apart by spaces.
+/// `fieldbeat WHAT CONFIG REST` under way; words of `what` and `rest` are separated by spaces.
 fn asking(what: &str, config: &std::path::Path, rest: &str) -> Program {
     Program::start(
         what.split(' ')
@@ -191,7 +191,7 @@ fn are_powered_off(summary: &Value) -> bool {
     summary["drives"].as_array().unwrap().iter().all(|drive| {
         let state = drive["state"].as_str().unwrap();
         let off = ["NotReadyToSwitchOn", "SwitchOnDisabled", "ReadyToSwitchOn"];
-        // Unknown: ended before it was online, so that nothing was ever asked of the drive.
+        // Unknown: ended before it was online, so that the drive never got a request.
         let on_its_way = ["unseen", "qualifying"].contains(&drive["link"].as_str().unwrap());
         let never_asked = state == "Unknown" && on_its_way && drive["losses"] == 0;
         off.contains(&state) || never_asked

@@ -143,7 +143,7 @@ fn an_embedded_master_is_left_alone_by_a_second_one_by_the_shell_and_by_a_scan_u
 }
 
 #[test]
-fn what_a_killed_master_had_is_free_and_taken_over_and_the_shell_touches_no_slave_in_op() {
+fn resources_of_a_killed_master_are_free_and_commands_touch_no_slave_in_op() {
     let machine = Machine::new(182);
     for (config, address, _) in machines(&machine) {
         let _sim = simulation(&config);

@@ -97,7 +97,7 @@ impl Page {
 }
 
 #[test]
-fn a_scrape_tells_what_the_summary_tells_later() {
+fn a_scrape_has_the_numbers_of_the_later_summary() {
     let (machine, config, _sim) = with_drives(70, 2);
     let mut program = online(&config, &["--json", "--metrics", &format!("{}:0", machine.ip(1))]);
     let address = endpoint(&mut program);
@@ -148,7 +148,7 @@ fn a_scrape_tells_what_the_summary_tells_later() {
 }
 
 #[test]
-fn clients_that_say_nothing_or_nonsense_harm_nobody() {
+fn silent_or_malformed_clients_disturb_no_other_client() {
     let (machine, config, _sim) = with_drives(71, 1);
     let mut program = online(&config, &["--json", "--metrics", &format!("{}:0", machine.ip(1))]);
     let address = endpoint(&mut program);
@@ -157,8 +157,8 @@ fn clients_that_say_nothing_or_nonsense_harm_nobody() {
     // More than are served at a time.
     let silent: Vec<TcpStream> = (0..400).map(|_| connect(address)).collect();
     // Those that ask and take nothing are as silent.
-    let asks = |mut stream: &TcpStream| stream.write_all(b"GET /metrics HTTP/1.0\r\n\r\n");
-    silent[350..].iter().for_each(|stream| drop(asks(stream)));
+    let requests = |mut stream: &TcpStream| stream.write_all(b"GET /metrics HTTP/1.0\r\n\r\n");
+    silent[350..].iter().for_each(|stream| drop(requests(stream)));
     let gone = connect(address);
     gone.shutdown(std::net::Shutdown::Both).unwrap();
     Page::parse(&scrape(address));
@@ -185,7 +185,7 @@ fn a_taken_or_foreign_address_is_refused_before_anything_is_sent() {
 }
 
 #[test]
-fn nothing_listens_unless_it_is_asked_to_and_whoever_opens_it_to_the_network_is_told() {
+fn metrics_listen_on_request_only_and_a_public_address_is_warned_of() {
     let (machine, config, _sim) = with_drives(73, 1);
     let has_thread = |program: &Program| {
         let mut tasks = std::fs::read_dir(format!("/proc/{}/task", program.pid())).unwrap();

@@ -10,7 +10,7 @@ use super::{ask, assert_silent, limit, master, socket, wires};
 fn an_address_that_is_taken_or_foreign_is_refused_with_the_remedy() {
     let machine = Machine::new(8);
     let moons = [1, 40].map(|host| format!("{}:2222", machine.ip(host)).parse().unwrap());
-    for (config, bus, [bind, drive], holder, asked) in [
+    for (config, bus, [bind, drive], holder, address) in [
         (
             machine.plain(2),
             "linudp-v2",
@@ -24,7 +24,7 @@ fn an_address_that_is_taken_or_foreign_is_refused_with_the_remedy() {
         let taken = format!("cannot bind {bind}: Address already in use");
         let run = || master(&config, &["--for", "1s"]).end();
         run().refused(&[&format!("bus {bus}: {taken}"), holder, "ss -ulpn"]);
-        let read = ask("param get", &config, asked);
+        let read = ask("param get", &config, address);
         match bus {
             // By its session alone, which needs no such port.
             "ethernet-ip" => read.failed(&["drive feeder cannot be reached", "nobody listens at"]),

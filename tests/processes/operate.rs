@@ -123,7 +123,7 @@ fn order(operator: &mut Operator, name: &str, order: Order) -> u64 {
 }
 
 #[test]
-fn a_master_that_was_not_told_so_lets_nobody_operate_and_one_that_has_ended_is_named() {
+fn operating_a_master_that_does_not_allow_it_or_has_ended_is_refused_by_name() {
     let machine = Machine::new(154);
     let config = config(&machine, "not");
     let _drives = serve(&config);
@@ -168,7 +168,7 @@ fn a_run_fails_by_a_fault_that_its_operator_left_and_not_by_one_that_was_reset()
         await_axis(&mut operator, |state| state.axes[0].stopped.as_deref() == Some("drive fault"));
         await_axis(&mut operator, |state| state.axes[0].commands.is_empty());
         if is_reset {
-            // Where the drive is not asked often enough the reset may fail, is reported so, and is ordered again.
+            // Where the drive does not get enough requests the reset may fail, is reported so, and is ordered again.
             let mut ends = Vec::new();
             let is_done = until(LONG, || {
                 let id = order(&mut operator, "panel", Order::ResetFault);

@@ -56,7 +56,7 @@ fn every_value_of_a_parameter_is_read_under_every_name_and_a_refusal_comes_with_
 }
 
 #[test]
-fn what_is_written_holds_as_long_as_its_memory_or_until_the_defaults_are_set() {
+fn written_parameters_last_as_long_as_their_memory_or_until_defaults_are_set() {
     let (_machine, config, _sim) = with_drives(81, 1);
     let get = |address: &str| value(&ask("param get", &config, &format!("d0 {address} --json")), "value");
     let set = |words: &str| value(&ask("param set", &config, &format!("d0 {words} --json")), "value");
@@ -148,7 +148,7 @@ fn an_interrupted_list_is_none() {
     let config = machine.config("slow.toml", 1, "", "simulate = { config_time = \"100ms\" }");
     let _sim = simulation(&config);
     let mut listing = asking("param list", &config, "d0 --json --values");
-    // It tells every few seconds how far it is.
+    // It reports its progress every few seconds.
     listing.await_text("fieldbeat: list ");
     let ended = listing.end_by(SIGINT);
     assert_eq!(ended.expect(1).out, "");
@@ -211,7 +211,7 @@ fn mistakes_of_the_asker_are_one_line_and_no_telegram() {
 /// Whoever has switched it on: what commands it, or what it may be using, is not changed, by a master of the program's
 /// own or through one that runs.
 #[test]
-fn what_a_drive_that_is_switched_on_may_use_or_obey_is_not_changed() {
+fn parameters_in_use_by_a_switched_on_drive_are_not_changed() {
     let machine = Machine::new(226);
     let config =
         machine.config("on.toml", 1, "", "on_found_running = \"refuse\"\nsimulate = { running = true }");
@@ -257,24 +257,24 @@ fn what_a_drive_that_is_switched_on_may_use_or_obey_is_not_changed() {
 }
 
 #[test]
-fn a_drive_that_nobody_answers_for_is_told_after_a_while() {
+fn an_absent_drive_is_reported_after_a_while() {
     let machine = Machine::new(85);
     let config = machine.plain(2);
     let silent = socket(machine.drive(1));
     ask("param get", &config, "d0 0x20A8").failed(&[
         "drive d0 cannot be reached: nothing has ever come from it: look at its power, cable and ",
     ]);
-    // Who is tired of waiting is told that nothing has happened.
+    // An interrupted wait reports that nothing has happened.
     let waiting = asking("param set", &config, "d0 monitor-source-1 1");
     waiting.await_handler(SIGINT);
     waiting.end_by(SIGINT).failed(&["interrupted; nothing was written"]);
-    // Only the drive that was meant was asked.
+    // Only the named drive got a request.
     assert_silent(&silent);
 }
 
 /// Its socket is there, and closed to this user. No other way is taken: the drive has an owner.
 #[test]
-fn a_master_that_may_not_be_asked_is_named() {
+fn a_master_of_another_user_is_named() {
     let machine = Machine::new(87);
     std::fs::copy(machine.plain(1), machine.path("closed87.toml")).unwrap();
     let config = machine.path("closed87.toml");

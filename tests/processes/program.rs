@@ -66,7 +66,7 @@ fn the_demo_runs_by_itself_and_its_json_has_every_key() {
                 assert!(rests(drive["position"].as_f64().unwrap(), 3.0, 0.01), "{drive}");
             }
             "profibus-dp" => {
-                assert!(drive["position"].is_null(), "it tells none: {drive}");
+                assert!(drive["position"].is_null(), "it reports none: {drive}");
                 assert!(drive["protocol_counters"]["wire_us"].as_u64() > Some(0), "{drive}");
                 // It has turned, rpm.
                 assert!(drive["monitor"][0]["max"].as_f64() > Some(100.0), "{drive}");
@@ -182,7 +182,7 @@ fn simulation_and_master_are_two_processes() {
 
 /// The plan in words is held by the tests of configurations.
 #[test]
-fn check_says_the_plan_what_becomes_of_drives_if_the_master_dies_and_what_it_is_not() {
+fn check_states_the_plan_the_drives_after_a_death_of_the_master_and_the_missing_safety_function() {
     let machine = Machine::new(199);
     for (name, becomes) in [
         ("demo", "if the master dies: "),
@@ -320,7 +320,7 @@ fn commands() -> Vec<String> {
 
 /// `| head -1`, a full disk, and nobody at all.
 #[test]
-fn an_output_that_nobody_takes_is_no_panic() {
+fn a_closed_output_is_no_panic() {
     let machine = Machine::new(19);
     let config = machine.plain(1);
     let full = || Stdio::from(std::fs::OpenOptions::new().write(true).open("/dev/full").unwrap());

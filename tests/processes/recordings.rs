@@ -135,7 +135,7 @@ fn one_that_was_removed_meanwhile_fails_the_run_by_name() {
 }
 
 #[test]
-fn what_is_newest_and_a_black_box_are_written_on_request_and_exported_and_what_is_none_is_refused() {
+fn newest_records_and_a_black_box_are_written_on_request_and_exported_and_other_files_are_refused() {
     let (machine, config, _sim) = with_drives(144, 1);
     let (newest, boxes) = (machine.path("newest.mcap"), machine.path("boxes"));
     let [record, black_box] = [&newest, &boxes].map(|path| path.to_str().unwrap());

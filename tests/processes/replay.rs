@@ -67,8 +67,8 @@ fn a_demo_with_all_protocols_is_repeated_bit_by_bit() {
         ended.out
     );
     // It is a recording like every other.
-    let told = run(["blackbox", file.to_str().unwrap()]).expect(0).out.clone();
-    assert!(told.lines().nth(1).unwrap().starts_with("the end of the recording, in cycle "), "{told}");
+    let text = run(["blackbox", file.to_str().unwrap()]).expect(0).out.clone();
+    assert!(text.lines().nth(1).unwrap().starts_with("the end of the recording, in cycle "), "{text}");
 }
 
 #[test]
@@ -252,7 +252,7 @@ fn a_run_is_repeated_and_the_first_telegram_that_differs_is_named_by_cycle_and_d
 }
 
 #[test]
-fn what_cannot_be_recorded_is_refused_before_anything_is_sent_and_leaves_no_file() {
+fn an_unwritable_recording_is_refused_before_anything_is_sent_and_leaves_no_file() {
     let machine = Machine::new(122);
     let config = machine.plain(1);
     let missing = machine.path("missing/x.mcap");

@@ -1,4 +1,4 @@
-//! What a master tells of itself while it runs, and after something failed: its control socket, its black box, and its
+//! The reports of a master while it runs, and after something failed: its control socket, its black box, and its
 //! service manager.
 
 use std::fs::{self, DirBuilder};
@@ -128,7 +128,7 @@ fn answering(machine: &Machine, socket: &str, pid: u32, config: Option<&str>) ->
 }
 
 #[test]
-fn the_demos_are_found_by_their_configuration_and_told_apart_by_their_process() {
+fn demos_are_found_by_their_configuration_and_distinguished_by_their_process() {
     let machine = Machine::new(127);
     let demo = checkout("rt-config/demo.toml").to_str().unwrap().to_owned();
     let pid = |arguments: &[&str]| {
@@ -221,7 +221,7 @@ fn blackbox(path: &Path, arguments: &[&str]) -> Ended {
 }
 
 #[test]
-fn a_lost_drive_leaves_a_black_box_that_tells_how_it_came_to_it() {
+fn a_lost_drive_leaves_a_black_box_with_its_history() {
     let machine = Machine::new(44);
     let config = machine.config("m.toml", 2, "", "health = { bucket = \"400ms\", leak = 1 }");
     let sim = simulation(&config);
@@ -289,7 +289,7 @@ fn a_lost_drive_leaves_a_black_box_that_tells_how_it_came_to_it() {
 }
 
 #[test]
-fn what_a_drive_shows_besides_is_told_in_status_and_by_gauges_while_it_does() {
+fn monitored_values_are_in_status_and_gauges_while_reported() {
     let machine = Machine::new(49);
     let config = machine.showing();
     let sim = simulation(&config);
@@ -341,7 +341,7 @@ fn what_a_drive_shows_besides_is_told_in_status_and_by_gauges_while_it_does() {
 }
 
 #[test]
-fn the_fault_of_a_drive_is_told_with_the_move_that_led_to_it_and_by_its_error_log() {
+fn the_fault_of_a_drive_is_shown_with_the_move_that_led_to_it_and_in_its_error_log() {
     let machine = Machine::new(124);
     // It meets its mechanical end far inside of its limits.
     let config = machine.config("m.toml", 2, "", "simulate = { range = [0, 60], home = 0, start = 10 }");
@@ -382,7 +382,7 @@ fn the_fault_of_a_drive_is_told_with_the_move_that_led_to_it_and_by_its_error_lo
 }
 
 #[test]
-fn a_drive_that_nobody_can_connect_to_is_told_once_with_the_reason_and_stands_in_status_and_metrics() {
+fn an_unreachable_drive_is_reported_once_with_the_reason_in_status_and_metrics() {
     let machine = Machine::new(79);
     let address = format!("{}:1502", machine.ip(11));
     let config = machine.write(
@@ -422,7 +422,7 @@ fn a_drive_that_nobody_can_connect_to_is_told_once_with_the_reason_and_stands_in
 }
 
 #[test]
-fn a_black_box_that_cannot_be_written_is_told_and_the_run_goes_on() {
+fn an_unwritable_black_box_is_reported_and_the_run_goes_on() {
     let (machine, config, _sim) = with_drives(46, 1);
     let boxes = machine.path("boxes");
     let mut command = own(&machine, &["run"]);

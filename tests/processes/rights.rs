@@ -1,4 +1,4 @@
-//! What an ordinary user may not do, and is told.
+//! The restrictions of an ordinary user, and their messages.
 
 use std::fs::{File, Permissions};
 use std::os::fd::AsRawFd;
@@ -53,7 +53,7 @@ fn a_right_that_is_missing_is_named_with_the_remedy_and_nothing_is_sent() {
 }
 
 #[test]
-fn an_ordinary_user_is_told_once_that_the_numbers_are_not_real_time() {
+fn an_ordinary_user_is_warned_once_that_the_numbers_are_not_real_time() {
     let machine = Machine::new(21);
     let config = machine.config("m.toml", 1, "realtime = \"prefer\"", "");
     let _sim = serve(&config);

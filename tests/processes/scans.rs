@@ -87,12 +87,12 @@ fn a_segment_that_is_silent_goes_away_or_is_not_waited_for_is_reported_in_one_li
     scan.end().failed(&["nothing serves this segment"]);
 }
 
-/// Each device, by its socket and serial number, answers each of so many requests that come to `asked`, twice.
-fn answering(asked: UdpSocket, devices: Vec<(UdpSocket, u32)>, requests: usize) -> JoinHandle<()> {
+/// Each device, by its socket and serial number, answers each of so many requests that come to `socket`, twice.
+fn answering(socket: UdpSocket, devices: Vec<(UdpSocket, u32)>, requests: usize) -> JoinHandle<()> {
     thread::spawn(move || {
         let mut request = [0; 64];
         for _ in 0..requests {
-            let (size, from) = asked.recv_from(&mut request).unwrap();
+            let (size, from) = socket.recv_from(&mut request).unwrap();
             assert_eq!((size, &request[..4]), (24, &[0x63, 0, 0, 0][..]), "ListIdentity without data");
             for (socket, serial) in &devices {
                 let SocketAddr::V4(at) = socket.local_addr().unwrap() else { panic!("{from}") };
@@ -118,7 +118,7 @@ fn answering(asked: UdpSocket, devices: Vec<(UdpSocket, u32)>, requests: usize) 
 }
 
 #[test]
-fn devices_are_told_as_a_table_and_as_json_and_who_does_not_answer_is_named() {
+fn devices_are_listed_as_a_table_and_as_json_and_silent_ones_are_named() {
     let machine = Machine::new(162);
     let _sim = serve(&moons(&machine));
     let [feeder, turret, nobody] = [40, 41, 42].map(|host| machine.ip(host).to_string());
@@ -156,14 +156,14 @@ fn devices_are_told_as_a_table_and_as_json_and_who_does_not_answer_is_named() {
 fn a_broadcast_finds_the_drives_on_a_cable() {
     let machine = Machine::new(224).on(CABLE_NET);
     let cable = Cable::new(224, &[40, 41]);
-    let (asked, devices) = cable.among_drives(|| {
+    let (socket, devices) = cable.among_drives(|| {
         let open = |ip| UdpSocket::bind(SocketAddrV4::new(ip, 44_818)).unwrap();
         (open(Ipv4Addr::BROADCAST), vec![(open(machine.ip(41)), 7), (open(machine.ip(40)), 0xC0FFEE)])
     });
     // A broadcast that was lost would not be waited for.
-    asked.set_read_timeout(Some(LONG)).unwrap();
+    socket.set_read_timeout(Some(LONG)).unwrap();
     // Each search asks twice.
-    let devices = answering(asked, devices, 4);
+    let devices = answering(socket, devices, 4);
     let bind = machine.ip(1).to_string();
     let program = || Cable::command(&cable.master, PROGRAM);
 

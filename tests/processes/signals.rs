@@ -12,7 +12,7 @@ use serde_json::Value;
 use super::support::{self, Ended, LONG, Machine, PROGRAM, Program, assert_sums, carried, drive};
 use super::{MS, are_powered_off, assert_powered_off, await_status, master, online, serve};
 
-/// A demo whose control socket is its own, so that it can be asked how far it is.
+/// A demo whose control socket is its own, so that its progress can be read.
 struct Demo {
     directory: PathBuf,
     program: Program,
@@ -75,7 +75,7 @@ impl Demo {
         panic!("no demo comes to {stage:?}")
     }
 
-    /// The drives, once they can be asked for.
+    /// The drives, once they can be listed.
     fn drives(&self) -> Vec<Value> {
         let mut status = process::Command::new(PROGRAM);
         let ended = Program::spawn(own(&self.directory, status.args(["status", "--json"]))).end();
@@ -323,7 +323,7 @@ fn a_master_that_was_stopped_counts_what_it_missed_and_is_not_stuck() {
         assert!(!ended.err.contains("stuck"), "{ended:?}");
         assert!(code != 0 || summary["failures"] == serde_json::json!([]), "{summary}");
         assert!(summary["cycle"]["overruns"].as_u64().unwrap() > 0);
-        // The drive was not asked meanwhile, so it cannot have missed anything.
+        // The drive got no request meanwhile, so it cannot have missed anything.
         assert_eq!(
             (&drive(&summary, "d0")["link"], &drive(&summary, "d0")["losses"]),
             (&"online".into(), &0.into())

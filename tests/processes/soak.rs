@@ -232,7 +232,7 @@ fn a_disk_that_takes_no_checkpoint_ends_no_test_and_fails_it_by_name() {
 }
 
 #[test]
-fn what_is_missing_or_wrong_is_refused_in_one_line_and_nothing_is_begun() {
+fn missing_or_wrong_soak_options_are_refused_in_one_line_before_the_start() {
     let machine = Machine::new(195);
     let config = config(&machine, "", "");
     let far = std::fs::read_to_string(&config).unwrap().replacen("[100, 120]", "[100, 401]", 1);

@@ -9,7 +9,7 @@ use serde_json::Value;
 use super::support::{self, LONG, Machine, assert_sums, drive};
 use super::{MS, await_status, finish, online, serve, socket};
 
-/// Datagrams of every kind that the master never asked for, a few a cycle.
+/// Datagrams of every kind that the master never requested, a few a cycle.
 fn pester(from: &[UdpSocket], to: SocketAddrV4, rounds: usize) -> u64 {
     let longest = [0x5a; 65_507];
     // A request as a master sends it, a reply as a drive sends it, their beginnings, and noise.
@@ -29,7 +29,7 @@ fn pester(from: &[UdpSocket], to: SocketAddrV4, rounds: usize) -> u64 {
 }
 
 #[test]
-fn strangers_are_counted_and_change_nothing() {
+fn datagrams_of_unknown_senders_are_counted_and_change_nothing() {
     let machine = Machine::new(15);
     let config = machine.plain(2);
     let sim = serve(&config);
@@ -60,7 +60,7 @@ fn strangers_are_counted_and_change_nothing() {
 }
 
 #[test]
-fn whoever_sits_at_the_address_of_a_dead_drive_does_not_become_it() {
+fn an_unknown_sender_at_the_address_of_a_dead_drive_is_not_taken_for_it() {
     let machine = Machine::new(16);
     let config = machine.config("m.toml", 2, "", Machine::LOST_SOON);
     let sim = serve(&config);

@@ -9,11 +9,11 @@ use super::support::{LONG, Machine, assert_sums, drive, run, until};
 use super::{ask, assert_left, await_status, end_once_online, master, metrics, patient_cycle, simulation};
 
 /// A question of the shell, `fieldbeat param WHAT CONFIG REST`: its exit code, and what is said.
-type Asked = (&'static str, &'static str, i32, &'static [&'static str]);
+type Question = (&'static str, &'static str, i32, &'static [&'static str]);
 
 #[track_caller]
-fn ask_all(config: &Path, asked: &[Asked]) {
-    for &(what, rest, code, parts) in asked {
+fn ask_all(config: &Path, questions: &[Question]) {
+    for &(what, rest, code, parts) in questions {
         let ended = ask(&format!("param {what}"), config, rest);
         match code {
             0 => {
@@ -26,16 +26,16 @@ fn ask_all(config: &Path, asked: &[Asked]) {
     }
 }
 
-/// The life of a machine: its master is there first and says what is missing, its drives come, are asked through it,
-/// are killed, and come back. Then they are asked by masters of the shell's own, each of which leaves them as they
+/// The life of a machine: its master is there first and says what is missing, its drives come, get requests through it,
+/// are killed, and come back. Then they get requests of masters of the shell's own, each of which leaves them as they
 /// were. Returns the summary of the run.
 #[track_caller]
-fn lives(config: &Path, missing: &str, protocols: &[(&str, &str)], asked: &[Asked]) -> Value {
+fn lives(config: &Path, missing: &str, protocols: &[(&str, &str)], questions: &[Question]) -> Value {
     let mut master = master(config, &["--json"]);
     master.await_text(missing);
     let sim = simulation(config);
     master.await_text("all drives online");
-    ask_all(config, asked);
+    ask_all(config, questions);
     sim.kill();
     let mut await_all = |what: &str| {
         protocols.iter().for_each(|(name, _)| master.await_text(&format!("drive {name}: {what}")));
@@ -55,7 +55,7 @@ fn lives(config: &Path, missing: &str, protocols: &[(&str, &str)], asked: &[Aske
         );
         assert!(drive["losses"].as_u64() >= Some(1) && drive["fault"].is_null(), "{drive}");
     }
-    ask_all(config, asked);
+    ask_all(config, questions);
     summary
 }
 
@@ -79,7 +79,7 @@ fn unidrives(machine: &Machine) -> PathBuf {
 }
 
 #[test]
-fn unidrives_beside_a_linmot_come_are_asked_are_lost_and_come_back() {
+fn unidrives_next_to_a_linmot_come_answer_requests_are_lost_and_come_back() {
     let machine = Machine::new(113);
     let config = unidrives(&machine);
     let missing = format!("drive u: not connected: refused: nobody listens at {}:1502", machine.ip(20));
@@ -156,7 +156,7 @@ pub fn kollmorgens(interface: &str) -> String {
 }
 
 #[test]
-fn a_line_of_kollmorgens_comes_is_asked_is_lost_and_comes_back() {
+fn a_segment_of_kollmorgens_comes_up_answers_requests_is_lost_and_comes_back() {
     let machine = Machine::new(170);
     let line = line(&machine);
     let summary = lives(
@@ -187,7 +187,7 @@ fn a_line_of_kollmorgens_comes_is_asked_is_lost_and_comes_back() {
 
 /// A drive and a terminal are others than the configuration says, and the SII of another terminal arms no watchdog.
 #[test]
-fn what_is_wrong_with_a_slave_is_named_once_and_a_device_is_accessed_through_its_master_only() {
+fn a_faulty_slave_is_named_once_and_a_device_is_accessed_through_its_master_only() {
     let machine = Machine::new(174);
     let io =
         |name| format!("[[bus.device]]\nname = \"{name}\"\noutputs = {{ start = 0x1000, length = 1 }}\n");
@@ -265,7 +265,7 @@ pub fn faulty(machine: &Machine, file: &str) -> PathBuf {
 }
 
 #[test]
-fn moons_drives_come_are_asked_are_lost_and_come_back() {
+fn moons_drives_come_answer_requests_are_lost_and_come_back() {
     let machine = Machine::new(165);
     lives(
         &moons(&machine),
@@ -334,7 +334,7 @@ pub fn wire(machine: &Machine) -> String {
 }
 
 #[test]
-fn lenzes_come_are_asked_are_lost_and_come_back_and_the_run_says_what_the_wire_did() {
+fn lenzes_come_answer_requests_are_lost_and_come_back_and_the_run_reports_the_wire() {
     let machine = Machine::new(201);
     let device = wire(&machine);
     let summary = lives(
@@ -367,7 +367,7 @@ fn lenzes_come_are_asked_are_lost_and_come_back_and_the_run_says_what_the_wire_d
 }
 
 #[test]
-fn what_is_no_wire_is_named_in_one_line_with_the_remedy() {
+fn an_unusable_wire_is_named_in_one_line_with_the_remedy() {
     for (words, code, parts) in [
         ("ethercat scan eth-none-here", 2, &["there is no network interface eth-none-here", "ip link"][..]),
         ("ethercat scan local:", 2, &["a name has 1 to"]),

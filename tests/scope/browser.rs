@@ -173,7 +173,7 @@ fn the_page_draws_triggers_measures_and_attaches_again() {
 
 #[test]
 #[ignore = "needs chromium, node, playwright-core and the Python library mcap"]
-fn what_is_seen_is_exported_to_csv_and_to_mcap() {
+fn shown_signals_are_exported_to_csv_and_to_mcap() {
     let mut running = Running::start(41, 2, false);
     let browser = &mut running.browser;
     browser.ask("click #run");

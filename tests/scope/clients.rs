@@ -158,7 +158,7 @@ fn a_page_that_may_command_needs_the_token_of_its_address() {
 }
 
 #[test]
-fn of_four_hundred_browsers_thirty_two_are_served_and_the_others_are_told() {
+fn four_hundred_browsers_connect_and_thirty_two_are_served_and_the_others_refused() {
     let running = Running::start(4, 2);
     let (address, _server) = running.serve();
     let mut sockets: Vec<Socket> = Vec::new();
@@ -184,7 +184,7 @@ fn of_four_hundred_browsers_thirty_two_are_served_and_the_others_are_told() {
 }
 
 #[test]
-fn whoever_connects_and_says_nothing_makes_room_for_who_asks() {
+fn silent_connections_make_room_for_requesting_ones() {
     // Both ends of each connection are this process'.
     let (_, most) = getrlimit(Resource::RLIMIT_NOFILE).unwrap();
     setrlimit(Resource::RLIMIT_NOFILE, most, most).unwrap();
@@ -243,7 +243,7 @@ fn late_cycles_arrive_with_their_causes() {
 }
 
 #[test]
-fn a_flood_ends_for_who_makes_it_and_for_nobody_else() {
+fn a_flooding_client_is_disconnected_alone() {
     let running = Running::start(5, 1);
     let (address, _server) = running.serve();
     let mut other = Socket::open(address, "").unwrap();
@@ -287,7 +287,7 @@ fn fill_the_other(quick: &mut Socket) -> Vec<u64> {
 }
 
 #[test]
-fn a_browser_that_never_reads_loses_frames_and_is_told_and_nobody_else_does_and_its_stop_is_taken_at_once() {
+fn a_browser_that_never_reads_loses_frames_alone_and_its_stop_is_taken_at_once() {
     struct Axes(Station);
 
     impl Control for Axes {
@@ -362,7 +362,7 @@ fn a_browser_that_never_reads_loses_frames_and_is_told_and_nobody_else_does_and_
 }
 
 #[test]
-fn a_scope_that_reads_too_slowly_loses_records_and_is_told() {
+fn a_scope_that_reads_too_slowly_loses_records_and_reports_it() {
     let running = Running::start(8, 4);
     let (_, mut watched) = running.watch.clone().local().unwrap();
     // Its queue holds a little more than a second, and the kernel as much.
@@ -390,7 +390,7 @@ fn a_scope_that_reads_too_slowly_loses_records_and_is_told() {
 }
 
 #[test]
-fn four_scopes_watch_one_master_and_a_fifth_is_told_why_it_does_not() {
+fn four_scopes_watch_one_master_and_a_fifth_is_refused_with_the_reason() {
     let running = Running::start(7, 1);
     let served: Vec<(SocketAddr, Server)> = (0..4).map(|_| running.serve()).collect();
     for (address, _) in &served {

@@ -5,7 +5,7 @@
 //!
 //! | file | what |
 //! |---|---|
-//! | `guests` | requests and browsers that mean no good, against a master in this process |
+//! | `clients` | requests and browsers that mean no good, against a master in this process |
 //! | `program` | `fieldbeat scope` and `--scope` as a user runs them |
 //! | `browser` | the page in Chromium; `browser.cjs` drives it. Its trigger and cursors alone: `assets.mjs` |
 //! | `socket` | a websocket client that does what no browser would |
@@ -13,7 +13,7 @@
 //! Each test owns 127.x.n.0/24, by the number n of its machine, which is unique in all of these files.
 
 mod browser;
-mod guests;
+mod clients;
 #[path = "../peers/peer.rs"]
 #[allow(dead_code, reason = "a browser is no package of its own")]
 mod peer;

@@ -79,7 +79,7 @@ fn a_demo_serves_its_page_up_to_its_end() {
 }
 
 #[test]
-fn whoever_lets_others_move_the_machine_is_warned() {
+fn a_public_address_that_allows_commands_is_warned_of() {
     let machine = Machine::new(23);
     let config = machine.plain(1);
     let config = config.to_str().unwrap();
@@ -100,7 +100,7 @@ fn whoever_lets_others_move_the_machine_is_warned() {
 }
 
 #[test]
-fn what_cannot_be_served_is_refused_in_a_line() {
+fn an_unusable_scope_address_is_refused_in_one_line() {
     let machine = Machine::new(22);
     let config = machine.plain(1);
     run(["scope", "/none.toml"]).refused(&["/none.toml", "no such file"]);

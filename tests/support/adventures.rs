@@ -32,7 +32,7 @@ pub const VICTIM: usize = 3;
 /// How many [`drives`] there are.
 pub const DRIVES: usize = 4;
 
-/// Drives of every kind: one that streams, one with a slower schedule, one that is asked in every cycle, and d3 with
+/// Drives of every kind: one that streams, one with a slower schedule, one with a request in every cycle, and d3 with
 /// all optional telegram parts. Its link shall be lost, after `victim` misses; those of the others shall not, and have
 /// `bucket`.
 pub fn drives(machine: &Machine, period: &str, bucket: u32, victim: u32) -> PathBuf {
