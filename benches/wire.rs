@@ -272,7 +272,7 @@ impl Requested {
 }
 
 /// The same exchange without its station.
-struct Around {
+struct BareExchange {
     velocity: f64,
     drive: Canned,
     request: Vec<u8>,
@@ -280,9 +280,9 @@ struct Around {
     cycle: Cycle,
 }
 
-impl Around {
-    fn new(request: &[u8]) -> Around {
-        Around {
+impl BareExchange {
+    fn new(request: &[u8]) -> BareExchange {
+        BareExchange {
             velocity: 0.0,
             drive: Canned::new(),
             request: request.to_vec(),
@@ -800,8 +800,8 @@ fn modbus(criterion: &mut Criterion) -> Counters {
     group.throughput(Throughput::Elements(1));
     let mut requested = Requested::operational();
     group.bench_function("exchange", |bencher| bencher.iter(|| requested.exchange(Canned::answer_again)));
-    // What of it is no master's: the drive that hears and answers, the clock, the application.
-    let mut around = Around::new(requested.station.to_send());
+    // What of it is no master's: the drive that receives and answers, the clock, the application.
+    let mut around = BareExchange::new(requested.station.to_send());
     group.bench_function("drive", |bencher| bencher.iter(|| around.exchange()));
     let mut data = RegistersBuffer::new();
     for value in [i32::from(UnidriveControl::FORWARD.0), 12_345] {

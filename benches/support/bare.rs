@@ -342,7 +342,7 @@ impl BareLoop {
             if index as u32 % self.fleet.every == phase && requested.owed == 0 {
                 requested.ask(stream, on)?;
             }
-            // Those of earlier cycles too: their connections have to be empty before they are asked again.
+            // Those of earlier cycles too: their connections have to be empty before the next request.
             if requested.owed > 0 {
                 set[streams_at + index].set_events(PollFlags::POLLIN);
                 unidrives_left += 1;

@@ -25,7 +25,7 @@ use super::{Args, Report, rig, shown};
 #[path = "../../tests/support/counting.rs"]
 mod counting;
 
-/// What watched code asks of it is counted.
+/// The requests of watched code to it are counted.
 #[global_allocator]
 static ALLOCATOR: counting::Counting = counting::Counting;
 

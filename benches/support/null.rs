@@ -247,7 +247,7 @@ pub struct NullCarrier {
     position: i32,
 }
 
-/// What a request asked.
+/// The contents of a request.
 struct Requested {
     from: SocketAddrV4,
     definitions: [u8; 8],
@@ -262,7 +262,7 @@ struct Requested {
 /// The blocks that are not in each reply.
 const IN_TURN: [ResponseDef; 3] = [ResponseDef::ERROR, ResponseDef::WARN, ResponseDef::MONITOR];
 
-/// Which of the replies has the blocks that are asked for: a bit for each.
+/// Which of the replies has the requested blocks: a bit for each.
 fn variant(requested: ResponseDef) -> usize {
     let has = |(bit, block): (usize, &ResponseDef)| usize::from(requested.contains(*block)) << bit;
     IN_TURN.iter().enumerate().map(has).sum()

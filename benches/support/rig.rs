@@ -626,7 +626,7 @@ impl<C: Metered> Rig<C> {
         self.devices.iter().all(|device| device.inputs().operational)
     }
 
-    /// Has all drives turn, slowly, until they are told otherwise: an axis that moves by itself would be stopped.
+    /// Has all drives turn, slowly, until their setpoints change: an axis that moves by itself would be stopped.
     pub fn jog(&mut self) {
         self.command(1.0);
         for _ in 0..50 {

@@ -136,7 +136,7 @@ pub struct NullSegment {
 }
 
 impl NullSegment {
-    /// The segment of `plan`, by this clock. When it is settled it tells so.
+    /// The segment of `plan`, by this clock. It reports when it is settled.
     pub fn new(plan: &EthercatPlan, now: fn() -> Time, exchange: Settled) -> NullSegment {
         NullSegment {
             now,
@@ -180,7 +180,7 @@ impl NullSegment {
             return;
         };
         self.settled += 1;
-        let is_typical = !canned.asks || self.settled >= SETTLED + QUIET;
+        let is_typical = !canned.requests || self.settled >= SETTLED + QUIET;
         if self.settled >= SETTLED && is_typical {
             let _ = self.exchange.set((sent.to_vec(), canned.clone()));
             (self.canned, self.sim) = (Some(canned), None);
@@ -272,18 +272,18 @@ pub struct Canned {
     slot: usize,
     position: u32,
     /// That frame has a slot.
-    asks: bool,
+    requests: bool,
 }
 
 impl Canned {
     /// As this frame has come back; `None`: not all slaves are in operation.
     fn new(frame: &[u8], layout: &Layout, at: Time) -> Option<Canned> {
         let (mut counters, mut clock, mut inputs_at, mut slot) = (Vec::new(), None, None, 0);
-        let (mut states, mut asks) = (false, false);
+        let (mut states, mut requests) = (false, false);
         for datagram in datagrams(frame).ok()?.map_while(Result::ok) {
             if states {
                 // Behind the states stands the slot.
-                asks = true;
+                requests = true;
                 break;
             }
             let Place { at: _, length } = datagram.place;
@@ -313,7 +313,7 @@ impl Canned {
             inputs,
             slot,
             position: 0,
-            asks,
+            requests,
         })
     }
 

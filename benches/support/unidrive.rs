@@ -76,7 +76,7 @@ pub fn mapping(drive: &UnidriveDrive) -> Mapping {
     mapping
 }
 
-/// The request that asks all of such a drive: this control word, and speed 0.
+/// The request to the whole block of such a drive: this control word, and speed 0.
 pub fn request(drive: &UnidriveDrive, control: ControlWord) -> ([u8; ADU_MAX], usize) {
     let mapping = mapping(drive);
     let (write, read) = (&mapping.writes()[0], &mapping.reads()[0]);
@@ -135,7 +135,7 @@ impl Canned {
         Canned { reply, length, header, written: [0; 2], status, speed: 0 }
     }
 
-    /// Hears a request; false if it is none to the whole block.
+    /// Receives a request; false if it is none to the whole block.
     #[inline]
     pub fn hear(&mut self, request: &[u8]) -> bool {
         match request.get(FUNCTION) {
@@ -175,7 +175,7 @@ impl Canned {
         self.length
     }
 
-    /// Writes the answer to what was heard into `room`, and gives its length.
+    /// Writes the answer to the received request into `room`, and gives its length.
     #[inline]
     pub fn answer(&mut self, room: &mut [u8]) -> usize {
         room[..self.length].copy_from_slice(&self.reply[..self.length]);
@@ -213,7 +213,7 @@ impl Direct {
         Direct { registers, control, status, speed, reply: [0; ADU_MAX], length: 0 }
     }
 
-    /// Hears a request; false if it is none that a master makes.
+    /// Receives a request; false if it is none that a master makes.
     pub fn hear(&mut self, request: &[u8]) -> bool {
         let word = |at: usize| usize::from(u16::from_be_bytes([request[at], request[at + 1]]));
         let (read, write) = match request.get(FUNCTION) {
@@ -249,7 +249,7 @@ impl Direct {
         true
     }
 
-    /// Writes the answer to what was heard into `room`, and gives its length.
+    /// Writes the answer to the received request into `room`, and gives its length.
     pub fn answer(&self, room: &mut [u8]) -> usize {
         room[..self.length].copy_from_slice(&self.reply[..self.length]);
         self.length

@@ -105,7 +105,7 @@ const REQUEST: u64 = 1;
 const STOP: u64 = 2;
 
 #[test]
-fn behind_whatever_a_loop_sends_after_its_wires_were_taken_comes_a_stop() {
+fn a_stop_follows_every_send_of_a_loop_whose_wires_were_taken() {
     loom::model(|| {
         let wires = Wires::default();
         // Nothing but the word orders what both hand to the kernel.
@@ -173,7 +173,7 @@ fn given(axes: usize) -> Arc<Vec<AtomicU64>> {
 }
 
 #[test]
-fn what_was_given_before_a_bell_rang_is_seen_once_the_bell_is_taken_and_no_bell_is_lost() {
+fn values_set_before_a_bell_are_seen_after_it_and_no_bell_is_lost() {
     bounded(3, || {
         let mut bells = Bells::new(2);
         let queues = given(2);
@@ -311,7 +311,7 @@ fn a_call_that_is_cancelled_while_it_is_taken_ends_once() {
 }
 
 #[test]
-fn what_ended_before_the_master_did_is_not_lost() {
+fn a_command_that_ended_before_the_master_keeps_its_outcome() {
     loom::model(|| {
         let (acyclic, mut port) = calls(1);
         let mut ticket = post(&acyclic, 7);

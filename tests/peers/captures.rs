@@ -39,7 +39,7 @@ fn capture(directory: &Path) -> PathBuf {
 
 /// Values of the fields of each frame that the filter passes.
 fn fields(file: &Path, filter: &str, fields: &[&str]) -> Vec<Vec<String>> {
-    // Guesses at the payload of UDP are not what is asked for.
+    // Guesses at the payload of UDP are not part of the test.
     let options = ["-d", "udp.port==49360,data"];
     let sums = ["ip", "udp", "tcp"].map(|of| format!("{of}.check_checksum:TRUE"));
     let sums = sums.iter().flat_map(|sum| ["-o", sum]);

@@ -63,7 +63,7 @@ fn the_dashboard_has_the_structure_that_grafana_reads() {
     let names: Vec<&str> = variables.iter().map(|variable| variable["name"].as_str().unwrap()).collect();
     assert_eq!(names, ["datasource", "instance", "drive"]);
     assert_eq!(variables[0]["type"], "datasource");
-    // Whatever is asked for can be chosen by master.
+    // Every query can be restricted to a master.
     for (title, expression, _) in queries(&dashboard) {
         assert!(expression.contains("instance=~\"$instance\""), "{title}: {expression}");
     }

@@ -41,7 +41,7 @@ fn frames(capture: Capture<impl Fn(&str)>, check_udp: bool) -> Vec<Frame> {
         "_ws.malformed",
     ];
     let sums = format!("udp.check_checksum:{check_udp}");
-    // Its guesses at the payload are not what is asked for.
+    // Its guesses at the payload are not part of the test.
     let options = ["-o", "ip.check_checksum:TRUE", "-o", &sums, "-d", "udp.port==41136,data"];
     let lines = dissect(&capture.end(), "udp && udp.dstport != 9 && !icmp", &options, &fields);
     lines.iter().map(|line| frame(line, check_udp)).collect()
@@ -187,7 +187,7 @@ fn tshark_finds_nothing_wrong_on_loopback() {
     });
     let seen = judge(&frames(capture, false), machine.master());
     compare(&seen, &summary, &machine);
-    // The definitions alone, and with a tag: nobody asked these drives for anything, so they are only read.
+    // The definitions alone, and with a tag: these drives got no command, so they are only read.
     assert_lengths(&seen, &summary, &[8, 16], &LENGTHS);
 }
 

@@ -3,7 +3,7 @@
 //! somebody else.
 //!
 //! Every call carries a value of its own, and the drive makes its answer of that value and keeps a ledger of what it
-//! carried out. So an answer tells whose it is, whatever the channel's four bits of identity say.
+//! carried out. So an answer says whose it is, whatever the channel's four bits of identity say.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::net::SocketAddrV4;
@@ -390,7 +390,7 @@ impl Bench {
         self.sim.world().set_faults(self.bus.drive, plan);
     }
 
-    /// One of its last replies once more, or forged: from somebody else, or with definitions that nobody asked for.
+    /// One of its last replies once more, or forged: from somebody else, or with definitions that were not requested.
     fn say_again(&mut self, input: &mut Input<'_>) {
         let (which, after_ns) = (input.below(REMEMBERED), u64::from(input.byte()) * PERIOD_NS / 128);
         let Some(mut reply) = self.ledger().said.get(which).cloned() else { return };
@@ -526,7 +526,7 @@ impl Bench {
     }
 
     /// Clear weather: all calls come to an end, the queue is as empty as it was, and what is posted after the end of
-    /// the master is told so.
+    /// it is reported to the master.
     fn finish(mut self) {
         self.bus.wire.lock().unwrap().jammed[0] = false;
         self.ledger().silence = 0;

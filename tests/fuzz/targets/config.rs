@@ -1,4 +1,4 @@
-//! Configurations: whatever stands in a file, it is read or its mistakes are told, and what was read can run.
+//! Configurations: any file is read or its mistakes are reported, and a plan that was read can run.
 
 use std::fmt::Write;
 
@@ -81,7 +81,7 @@ fn check_errors(text: &str, errors: &ConfigErrors) {
         assert!(line >= last, "in the order of the file: {errors}");
         last = line;
         let message = &error.message;
-        // A mistake of syntax is told in the words of the parser.
+        // A mistake of syntax is reported in the words of the parser.
         let remedy = message.starts_with("must ") || message.contains("; ");
         let whole = !message.trim_end().ends_with([';', ':', ',', '=']);
         assert!(error.key.is_none() || remedy && whole, "no remedy: {said}");

@@ -117,9 +117,9 @@ impl Frames for Shared {
         let frame = cable.inbox.pop_front()?;
         let length = frame.len().min(room.len());
         room[..length].copy_from_slice(&frame[..length]);
-        let told = frame.len();
+        let reported = frame.len();
         cable.taken.push(frame);
-        Some((cable.now, told))
+        Some((cable.now, reported))
     }
 
     fn now(&mut self) -> Time {

@@ -20,7 +20,7 @@ const STATION: u16 = 0x1001;
 pub fn ethercat_sii(data: &[u8]) {
     let mut input = Input(data);
     let mut reader = Reader::new(Managers::default(), LOOKS);
-    // The word that was asked for last, as a slave shows it.
+    // The word that was requested last, as a slave shows it.
     let mut shown = [0; 4];
     for _ in 0..MOST {
         let mut ask = Ask::default();

@@ -47,7 +47,7 @@ fn response(data: &[u8]) {
     let mut bytes = [0xEE; RESPONSE_MAX];
     let size = response.emit(&mut bytes);
     assert_eq!(size, response.size());
-    // A drive may leave the block out that it was asked for; here it is written as zeros.
+    // A drive may leave the requested block out; here it is written as zeros.
     let requested = response.request_def.contains(RequestDef::CONFIG);
     let whole = Response { config: response.config.or(requested.then(RtcBlock::default)), ..response };
     let said = if whole == response { size } else { size - 8 };

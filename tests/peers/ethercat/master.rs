@@ -84,6 +84,6 @@ fn a_master_of_others_brings_our_drives_to_op_and_turns_one() {
 
 #[test]
 #[ignore = "needs root, iproute2, tshark and a package registry: builds the crate ethercrab"]
-fn it_does_so_with_clocks_of_32_bits() {
+fn our_master_runs_the_slaves_with_clocks_of_32_bits() {
     turns_a_drive(32, true);
 }

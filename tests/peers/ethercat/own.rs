@@ -451,9 +451,9 @@ fn judge_fmmus(file: &Path, run: Run, base: u64) {
 
 /// From the last slave in OP to the first one that is taken down.
 fn judge_cycles(exchanges: &[Exchange], run: Run) {
-    let asks = |(sent, _): &Exchange, state| sent.state == Some(state);
-    let begin = exchanges.iter().rposition(|exchange| asks(exchange, OP.into())).unwrap();
-    let end = begin + exchanges[begin..].iter().position(|exchange| asks(exchange, 1)).unwrap();
+    let requests = |(sent, _): &Exchange, state| sent.state == Some(state);
+    let begin = exchanges.iter().rposition(|exchange| requests(exchange, OP.into())).unwrap();
+    let end = begin + exchanges[begin..].iter().position(|exchange| requests(exchange, 1)).unwrap();
     let (inputs, status) = run.inputs();
     let mut words = [Vec::new(), Vec::new()];
     for (sent, back) in &exchanges[begin + 1..end] {
@@ -503,14 +503,14 @@ fn judge_mailboxes(exchanges: &[Exchange], run: Run) {
     for station in DRIVES {
         let requests = messages(exchanges, FPWR, station, REQUEST);
         let responses = messages(exchanges, FPRD, station, RESPONSE);
-        let mut asked: Vec<_> = requests
+        let mut requested: Vec<_> = requests
             .iter()
             .map(|request| (request.command, request.object.unwrap(), request.data))
             .filter(|(_, object, _)| *object != SETTLES)
             .collect();
         // A request whose answer was late is sent again.
-        asked.dedup();
-        let written = asked.iter().filter(|(command, ..)| *command == DOWNLOAD);
+        requested.dedup();
+        let written = requested.iter().filter(|(command, ..)| *command == DOWNLOAD);
         let written: Vec<_> = written.map(|(_, object, data)| (*object, data.unwrap())).collect();
         assert_eq!(written, start_up, "{station:#x}");
         // The last one may be under way as the drive is taken down.
@@ -527,8 +527,8 @@ fn judge_mailboxes(exchanges: &[Exchange], run: Run) {
             }
         }
         // How it counts a turn, as it starts; its mode and whether it has its reference, as it is up; and what the
-        // application asks.
-        let uploads = asked.iter().filter(|(command, ..)| *command == UPLOAD);
+        // application requests.
+        let uploads = requested.iter().filter(|(command, ..)| *command == UPLOAD);
         let requested: BTreeSet<_> = uploads.clone().map(|(_, object, _)| *object).collect();
         let once = [(0x608F, 1), (0x608F, 2), (0x6061, 0), (0x1002, 0), (0x1018, 1), (0x5FFF, 1)];
         assert_eq!((requested, uploads.count()), (once.into(), once.len()), "{station:#x}");

@@ -74,7 +74,7 @@ fn tshark_finds_nothing_wrong_with_a_scan() {
 
 #[test]
 #[ignore = "needs root and iproute2"]
-fn what_is_wrong_with_an_interface_is_told_in_one_line() {
+fn an_unusable_interface_is_reported_in_one_line() {
     let cable = cable(34);
     scan(&cable, &[]).failed(&["wire: no slave answers; check power and cable"]);
     cable.plug("down");
@@ -108,7 +108,7 @@ fn beside_another<R>(cable: &Cable, run: impl FnOnce() -> R) -> R {
 
 #[test]
 #[ignore = "needs root and iproute2"]
-fn a_scan_beside_another_master_says_so_and_sends_nothing() {
+fn a_scan_next_to_another_master_says_so_and_sends_nothing() {
     let cable = cable(35);
     let _line = serve(&cable, segment(Family::S700, 1, false));
     let ended = beside_another(&cable, || scan(&cable, &["--json"]));
@@ -117,7 +117,7 @@ fn a_scan_beside_another_master_says_so_and_sends_nothing() {
 
 #[test]
 #[ignore = "needs root and iproute2"]
-fn a_master_is_not_started_beside_another_one_and_one_that_comes_later_stops_it() {
+fn a_master_is_not_started_next_to_another_one_and_is_stopped_by_a_later_one() {
     let (machine, cable) = (Machine::new(36), cable(36));
     let plan = EthercatPlan::new(WIRE, vec![KollmorgenDrive::new("d1", 0, Family::S700)]);
     let mut alone = EthercatSegment::from(plan);

@@ -185,7 +185,7 @@ fn tshark_finds_nothing_wrong_with_modbus() {
         assert_eq!(cyclic.len() as u64, end.counters.sent, "{:?}", end.counters);
         let replies = cyclic.iter().filter(|(_, reply)| reply.is_some()).count() as u64;
         assert!((end.counters.answered..=end.counters.sent).contains(&replies), "{:?}", end.counters);
-        // Of those that were asked for: 20.021, and "run in reverse" with the status, or all of menu 0.
+        // The requested ones: 20.021, and "run in reverse" with the status, or all of menu 0.
         let has = |wanted: &dyn Fn(&Message) -> bool| cyclic.iter().any(|(request, _)| wanted(request));
         let parameter = (0x47E4, 2);
         let block =

@@ -93,8 +93,8 @@ impl Cable {
     pub fn is_in_turns(&self, stations: &[u8]) -> bool {
         self.telegrams().windows(2).all(|pair| {
             let [(by, request), (next, _)] = pair else { unreachable!() };
-            let asks = |of: Telegram| stations.contains(&of.to);
-            *by == By::Drive || *next == By::Drive || !Telegram::of(request).is_some_and(asks)
+            let is_request = |of: Telegram| stations.contains(&of.to);
+            *by == By::Drive || *next == By::Drive || !Telegram::of(request).is_some_and(is_request)
         })
     }
 

@@ -1,4 +1,4 @@
-//! Drives that say what they are told to say, and a wire that writes down what the master sends and hears.
+//! Drives that report by a script, and a wire that records the master's requests and the replies.
 
 use std::collections::VecDeque;
 use std::io;
@@ -58,7 +58,7 @@ impl Script {
 struct Lie {
     status: Option<u16>,
     state: Option<u16>,
-    /// The state has the count that the drive has heard.
+    /// The state has the count that the drive has received.
     counts: bool,
     /// These bits of the count are wrong.
     count: u16,
@@ -101,11 +101,11 @@ impl Lie {
         }
     }
 
-    fn bend(&self, bytes: &mut Vec<u8>, heard: u8) {
+    fn bend(&self, bytes: &mut Vec<u8>, received: u8) {
         let Ok(mut response) = Response::parse(bytes) else { return };
         response.status = self.status.map(StatusWord).or(response.status);
         if let Some(state) = self.state {
-            let count = if self.counts { u16::from(heard) } else { state & 0xF };
+            let count = if self.counts { u16::from(received) } else { state & 0xF };
             response.state = Some(StateVar(state & !0xF | count));
         }
         response.state = response.state.map(|StateVar(state)| StateVar(state ^ self.count));
@@ -137,7 +137,7 @@ pub struct HostileDrive {
     drive: LinMotSim,
     script: Arc<Mutex<Script>>,
     /// The count of the last motion command.
-    heard: u8,
+    received: u8,
 }
 
 impl SimDrive for HostileDrive {
@@ -155,12 +155,12 @@ impl SimDrive for HostileDrive {
             self.drive.provoke(code.0);
         }
         if let Some(motion) = Request::parse(bytes).ok().and_then(|request| request.motion) {
-            self.heard = (motion.header & 0xF) as u8;
+            self.received = (motion.header & 0xF) as u8;
         }
         let to = self.drive.receive(now, from, bytes, reply)?;
         if script.lies > 0 {
             script.lies = script.lies.saturating_sub(u32::from(script.lies < u32::MAX));
-            script.lie.bend(reply, self.heard);
+            script.lie.bend(reply, self.received);
         }
         script.said.push_front(reply.clone());
         script.said.truncate(REMEMBERED);
@@ -232,7 +232,7 @@ impl HostileBus {
         (settings.into_iter().zip(&self.scripts))
             .map(|(settings, script)| {
                 let drive = LinMotSim::new(settings);
-                Box::new(HostileDrive { drive, script: Arc::clone(script), heard: 0 }) as Box<dyn SimDrive>
+                Box::new(HostileDrive { drive, script: Arc::clone(script), received: 0 }) as Box<dyn SimDrive>
             })
             .collect()
     }

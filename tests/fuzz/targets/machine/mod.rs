@@ -31,7 +31,7 @@ const MASTER: Ipv4Addr = Ipv4Addr::new(10, 0, 0, 1);
 const RANGE: (f64, f64) = (-100.0, 200.0);
 const STOP_TIMEOUT: Duration = Duration::from_millis(60);
 
-/// Turns of the loop before the end is asked for: a program is short, so that many of them can be run.
+/// Turns of the loop before the end is requested: a program is short, so that many of them can be run.
 const MOST_TURNS: u64 = 400;
 
 /// What a shutdown may take: to brake, once more in a hurry, once more where the drive went and came back, and to power
@@ -69,7 +69,7 @@ struct Machine {
     unmatched: u64,
     turns: u64,
     was_jammed: bool,
-    /// The turns when the end was asked for.
+    /// The turns when the end was requested.
     asked_at: Option<u64>,
     ended: bool,
 }
@@ -268,7 +268,7 @@ impl Machine {
         }
     }
 
-    /// Asks for what the axis needs next to be ready for motions, and lets it have its time.
+    /// Commands what the axis needs next to be ready for motions, and lets it have its time.
     fn lead(&mut self, axis: usize) {
         for _ in 0..4 {
             let feedback = self.sim.feedback(axis);

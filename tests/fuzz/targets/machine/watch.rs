@@ -1,4 +1,4 @@
-//! What has to hold of one axis, whatever its drive says and whatever the application asks for.
+//! The rules of one axis, whatever its drive reports and whatever the application commands.
 //!
 //! It sees what anybody could see: requests on the wire, datagrams that came, events, feedback. It keeps no books of
 //! how the loop works.
@@ -49,7 +49,7 @@ pub struct Watch {
     event: Option<Event>,
     sent: u64,
     datagrams: u64,
-    /// Events were lost: what they would have told is not known.
+    /// Events were lost: their contents are not known.
     deaf: bool,
 }
 
@@ -112,7 +112,7 @@ impl Watch {
             self.check_switch_on(requested.at, said);
         }
         let only_read = self.accepted == 0 && self.drive.axis.on_found_running == FoundRunning::Refuse;
-        assert!(!only_read || request.control.is_none(), "nobody has asked for anything: {request:?}");
+        assert!(!only_read || request.control.is_none(), "nothing was requested: {request:?}");
         if let Some(word) = request.control {
             self.check_control(word, native);
         }
@@ -121,7 +121,7 @@ impl Watch {
         }
     }
 
-    /// Only an Enable switches a drive on. One that was never told anything may be left on as it was found.
+    /// Only an Enable switches a drive on. One that never got a request may be left on as it was found.
     fn check_switch_on(&self, at: Time, said: Option<ControlWord>) {
         let status = self.reply.and_then(|reply| reply.status).unwrap_or_default();
         let as_found = said.is_none() && status.has(StatusWord::SWITCH_ON_ACTIVE);
@@ -148,13 +148,9 @@ impl Watch {
         self.wild &= native;
         if !self.wild {
             let homes = self.latched.is_none() && self.runs(|command| *command == Command::Home);
-            assert!(homes || word != C::HOME, "homing that nobody asked for: {:?}", self.alive);
+            assert!(homes || word != C::HOME, "homing without a request: {:?}", self.alive);
             let resets = self.acknowledging || self.runs(|command| *command == Command::ResetFault);
-            assert!(
-                resets || word != C::ACKNOWLEDGE,
-                "an acknowledge that nobody asked for: {:?}",
-                self.alive
-            );
+            assert!(resets || word != C::ACKNOWLEDGE, "an acknowledge without a request: {:?}", self.alive);
         }
     }
 
@@ -200,7 +196,7 @@ impl Watch {
         }
     }
 
-    /// An event, told in the turn after which so many cycles were executed.
+    /// An event, reported in the turn after which so many cycles were executed.
     pub fn event(&mut self, event: Event, executed: u64) {
         if let Some(before) = self.event.replace(event) {
             assert!(before.cycle <= event.cycle && before.at <= event.at, "{before} before {event}");
@@ -357,7 +353,7 @@ impl Watch {
         assert!(self.latched.is_some(), "an axis is stopped at the end");
     }
 
-    /// Whether the last word to the drive has left it switched on, although it could be told something since `since`.
+    /// Whether the last word to the drive has left it switched on, although it could get a request since `since`.
     pub fn is_left_on(&self, since: Time) -> bool {
         let on = self.word.is_some_and(|word| word.has(ControlWord::SWITCH_ON));
         on && !self.wild && self.requested.last().is_some_and(|(at, _)| *at >= since)
