@@ -218,7 +218,7 @@ mod tests {
     }
 
     #[test]
-    fn a_question_fits_whatever_room_the_queue_has() {
+    fn a_question_fits_any_room_of_the_queue() {
         let master = Master::start(1_000);
         let most = Call { service: u32::MAX, address: u32::MAX, value: u64::MAX };
         let series = master.remote().run(&[most; 200], LIMIT);

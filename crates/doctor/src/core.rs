@@ -244,7 +244,7 @@ mod tests {
     }
 
     #[test]
-    fn a_tickless_core_is_for_who_spins() {
+    fn a_tickless_core_is_wanted_for_a_spinning_loop() {
         let file = "sys/devices/system/cpu/nohz_full";
         let mut plan = subject();
         let check = |files: &[(&str, &str)], plan: &Subject| ticks(&Host::new(files).0.root, plan);

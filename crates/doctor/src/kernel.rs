@@ -240,7 +240,7 @@ mod tests {
     }
 
     #[test]
-    fn the_fair_server_matters_to_who_starves_others() {
+    fn the_fair_server_matters_to_a_loop_that_starves_others() {
         let mut plan = subject();
         let runtime = "sys/kernel/debug/sched/fair_server/cpu3/runtime";
         let period = "sys/kernel/debug/sched/fair_server/cpu3/period";

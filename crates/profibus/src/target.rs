@@ -270,7 +270,7 @@ mod tests {
     }
 
     #[test]
-    fn an_address_is_that_of_one_target_and_a_write_to_it_commands_unless_known_to_be_harmless() {
+    fn an_address_has_one_target_and_a_write_to_it_commands_unless_listed_as_harmless() {
         for kind in Kind::ALL {
             for (code, sub) in [(0, 0), (61, 0), (39, 255), (u16::MAX, 1)] {
                 let target = Target::Parameter(Parameter { code, sub, kind });

@@ -498,7 +498,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn old_records_keep_the_names_of_their_verbs() {
+    fn old_records_keep_the_names_of_their_commands() {
         assert_eq!(all().len() + 1, Command::NAMES.len());
         for ((command, name), code) in all().into_iter().zip(1..) {
             assert_eq!((command.code(), command.name()), (code, name));

@@ -152,7 +152,7 @@ mod tests {
     }
 
     #[test]
-    fn frames_go_to_the_line_and_come_back_to_who_sent_them() {
+    fn frames_go_to_the_segment_and_come_back_to_their_sender() {
         let name = own("there-and-back");
         let mut line = Local::serve(&name).unwrap();
         let mut masters = [Local::open(&name).unwrap(), Local::open(&name).unwrap()];

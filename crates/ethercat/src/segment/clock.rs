@@ -245,7 +245,7 @@ mod tests {
     }
 
     #[test]
-    fn a_slot_stands_so_long_before_sync0_whatever_the_jitter() {
+    fn a_slot_keeps_its_distance_to_sync0_under_any_jitter() {
         let mut clock = seen(MS, 400 * US, 0);
         for (index, late, off) in [(0, 0, 0), (1, 90_000, 0), (2, 3_000, 5_000), (3, 0, -70_000)] {
             let cycle = cycle(index);

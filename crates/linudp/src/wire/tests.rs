@@ -162,7 +162,7 @@ fn every_combination_of_blocks_round_trips() {
 }
 
 #[test]
-fn config_is_there_if_the_request_had_it_whatever_response_bit_8_says() {
+fn config_is_read_if_the_request_had_it_regardless_of_response_bit_8() {
     // Request bit 2 clear, response bit 8 set: 42 bytes for 1FFh, no config block.
     let bytes = answered(&Response { request_def: RequestDef(0b011), ..full_response() });
     assert_eq!(bytes.len(), 42);

@@ -175,7 +175,7 @@ fn values_are_shown_in_their_unit_and_as_counts() {
 }
 
 #[test]
-fn a_refusal_says_whose_it_is() {
+fn a_refusal_names_its_source() {
     assert_eq!(Parameters.reason(2), "exception 02h no such parameter, or too many registers at once");
     assert!(Parameters.reason(NOT_TAKEN).contains("read-only"));
     assert!(Parameters.reason(UNREACHABLE).contains("addressing"));

@@ -43,7 +43,7 @@ fn message(write: Option<&Block>, read: Option<&Block>) -> Vec<u8> {
 }
 
 #[test]
-fn the_request_of_any_two_blocks_is_that_of_the_codec_whatever_stood_in_its_place() {
+fn the_request_of_any_two_blocks_equals_that_of_the_codec_over_any_earlier_bytes() {
     let mut random = fastrand::Rng::with_seed(5);
     for mapping in mappings() {
         let turns = Turns::new(mapping.clone());

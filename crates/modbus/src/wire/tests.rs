@@ -147,7 +147,7 @@ fn the_longest_messages_are_those_of_the_standard_and_longer_ones_are_not_writte
 }
 
 #[test]
-fn a_request_that_lies_of_its_length_or_function_can_still_be_answered() {
+fn a_request_with_a_wrong_length_or_function_is_answered() {
     let error = |bytes: &[u8]| Request::parse(bytes).unwrap_err();
     // Function 4 is none of a Unidrive's.
     let other = [0, 42, 0, 0, 0, 6, 0xFF, 4, 0, 0, 0, 1];

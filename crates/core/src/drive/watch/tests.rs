@@ -174,7 +174,7 @@ fn the_range_holds_outward_only_and_only_when_homed() {
 }
 
 #[test]
-fn with_braking_it_strikes_while_there_is_still_room() {
+fn braking_begins_while_there_is_still_room() {
     // 400 mm/s needs 80 mm at 1000 mm/s².
     let demands: Vec<f64> = (0..250).map(|index| f64::from(index) * 0.4).collect();
     let broken = strikes(&ranged(), BRAKING, SAMPLE, &demands).unwrap();

@@ -42,7 +42,7 @@ fn receive(udp: &mut Udp, count: usize) -> Vec<(SocketAddrV4, Vec<u8>, bool)> {
 }
 
 #[test]
-fn a_failing_message_hurts_no_other() {
+fn a_failing_message_disturbs_no_other() {
     // Broadcast without SO_BROADCAST, first, in the middle, twice in a row, at a batch's end, last; and a message that
     // is too long for UDP.
     let forbidden = SocketAddrV4::new(Ipv4Addr::BROADCAST, 41136);

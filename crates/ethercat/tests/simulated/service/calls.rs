@@ -132,7 +132,7 @@ fn the_master_goes_before_the_application() {
 }
 
 #[test]
-fn a_call_that_is_cancelled_late_or_offline_ends_so_and_hurts_no_later_one() {
+fn a_call_cancelled_late_or_offline_ends_so_and_disturbs_no_later_one() {
     let (mut bench, server) = Bench::server(16, &[(MODE, &[7]), (STATUS_WORD, &[1, 2])]);
     let held = super::late::hold(&server, usize::MAX);
     let mut ticket = bench.post(READ, "mode", 0);

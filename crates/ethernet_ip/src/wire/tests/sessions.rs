@@ -209,7 +209,7 @@ fn socket_addresses_are_big_endian_and_in_any_order() {
 }
 
 #[test]
-fn a_count_or_length_of_items_that_lies_is_refused() {
+fn a_wrong_count_or_length_of_items_is_refused() {
     let data = with(|out| {
         out.extend([2, 0]);
         cpf::put(out, 1, &[1, 2]);

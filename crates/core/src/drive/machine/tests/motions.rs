@@ -173,7 +173,7 @@ fn a_jog_ends_before_the_position_limit_ahead_and_leads_back_from_there() {
 }
 
 #[test]
-fn a_velocity_is_followed_whatever_it_changes_to() {
+fn a_velocity_is_followed_through_any_change() {
     for can in kinds() {
         let torque = quantity(&can) == Some(Quantity::Torque);
         let mut rig = Rig::enabled(can);
