@@ -1,7 +1,7 @@
 //! What is known of single objects, by index.
 //!
 //! Facts: CAN manual of the S300 and S700, EtherCAT manuals of this family and of the AKD, CiA 301 and 402. Types
-//! and ranges that are in none of them are marked [`assumed`](Known::assumed). A drive has many more objects, and
+//! and ranges that are in none of them are marked [`assumed`](ObjectInfo::assumed). A drive has many more objects, and
 //! checks every value itself.
 //!
 //! Differences of an AKD:
