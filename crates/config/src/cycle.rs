@@ -41,10 +41,11 @@ keys! {
         "without a sign of life of the loop for so long, its [watch](stops.md#a-loop-that-is-stuck) stops "
         "the drives and the run has failed; at least 20 ms and 5 cycles, at most 60 s; `\"off\"`: not "
         "watched";
-    GUARDIAN_AFTER "guardian_after" = "(half as long again as `watch_after`; without a watch only once the process has died)":
-        "without a sign of life of the loop for so long, the [guardian](stops.md#the-guardian), a process "
-        "of its own, stops the LinMots; at once if the master's process has died. The same range; "
-        "`\"off\"`: there is none";
+    GUARDIAN_AFTER "guardian_after" = "(half as long again as `watch_after`; without a watch only once the "
+        "process has died)":
+        "without a sign of life of the loop for so long, the [guardian](stops.md#the-guardian), a process of "
+        "its own, stops the LinMots; at once if the master's process has died. The same range; `\"off\"`: "
+        "there is none";
     LATE "late" = "(a tenth of the period)": "limit for a late cycle: one that begins later than this "
         "after its grid point, or spends longer in a stage, is counted with its cause";
     BLACK_BOX "black_box" = "2s": "how much of the past the black box keeps; `\"0s\"` switches it off";

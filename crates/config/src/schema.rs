@@ -1,7 +1,7 @@
 //! The JSON schema of a configuration, for editors that complete keys and flag mistakes while somebody types.
 //!
-//! It is made from what the reader states while it reads: each key with its declaration, and what it takes. What a schema
-//! cannot express is left to `fieldbeat check`: ranges of times, and what depends on other keys.
+//! It is made from what the reader states while it reads: each key with its declaration, and what it takes. What a
+//! schema cannot express is left to `fieldbeat check`: ranges of times, and what depends on other keys.
 
 use std::cell::RefCell;
 use std::ops::Bound;

@@ -42,8 +42,8 @@ keys! {
     HELD_BY "held_by" = "(required by a vertical load)": "what holds a vertical load: the drive's "
         "`\"brake\"`, or the powered `\"drive\"`, which the master then never powers off";
     WINDOW "window" = "(the way at `stop.standstill` in 100 ms, 4 counts at least: `0.5` mm, `0.005` rev)":
-        "largest distance, units, between the target of a move, or a stream, and the actual position for "
-        "the move to be done, or `\"off\"`: done when the demand is there";
+        "largest distance, units, between the target of a move, or a stream, and the actual position for the "
+        "move to be done, or `\"off\"`: done when the demand is there";
     FOR "for" = "10": "good exchanges in a row within `in_position.window` and at standstill: then the "
         "move is done; a number, or a time such as `\"50ms\"`";
     TIMEOUT "timeout" = "1s": "longest time from the end of the demand until the axis is in position; "
@@ -65,9 +65,10 @@ keys! {
     STEP "step" = "none": "largest distance between two streamed rows";
     TORQUE "torque" = "none": "largest torque setpoint, % of the rated torque";
     HOMING "homing" = "(that of velocity)": "largest speed while it homes, units/s";
-    FOLLOWING_ERROR "following_error" = "([what follows from `limits.velocity`](stops.md#following-error) where the demand is the master's)":
-        "largest distance between demand and actual position in a motion, units, or `\"off\"`: more in "
-        "three fresh reports in a row stops the axis";
+    FOLLOWING_ERROR "following_error" = "([what follows from `limits.velocity`](stops.md#following-error) "
+        "where the demand is the master's)":
+        "largest distance between demand and actual position in a motion, units, or `\"off\"`: more in three "
+        "fresh reports in a row stops the axis";
     PROFILE_VELOCITY "velocity" = "(`100` mm/s, `1` rev/s)": "velocity of a move without a profile, "
         "units/s; at most the limit";
     PROFILE_ACCELERATION "acceleration" = "(`1000` mm/s², `10` rev/s²)":

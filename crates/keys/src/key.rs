@@ -16,8 +16,11 @@ pub struct Key {
 /// Declares the keys that a file reads, a constant each: `NAME "name" = "default": "what it is for";`.
 #[macro_export]
 macro_rules! keys {
-    ($($constant:ident $name:literal = $default:literal: $($means:literal)+;)*) => {
-        $(const $constant: $crate::key::Key = $crate::key::key($name, $default, concat!($($means),+));)*
+    ($($constant:ident $name:literal = $($default:literal)+: $($means:literal)+;)*) => {
+        $(
+            const $constant: $crate::key::Key =
+                $crate::key::key($name, concat!($($default),+), concat!($($means),+));
+        )*
     };
 }
 

@@ -207,7 +207,7 @@ fn drives_have_the_objects_that_the_master_knows() {
                 (at(object), kind(own), access, self::range(kind(own), range))
             })
             .collect();
-        let has = |known: &&catalogue::Known| [Drives::All, drives].contains(&known.drives);
+        let has = |known: &&catalogue::ObjectInfo| [Drives::All, drives].contains(&known.drives);
         let master = catalogue::all().filter(has);
         let master: Vec<_> = master
             .map(|known| (known.object, known.kind, known.access, range(known.kind, (known.min, known.max))))

@@ -12,7 +12,8 @@ use fieldbeat_keys::table::{Table, integer};
 use fieldbeat_linudp::{LinUdpDrive, LinUdpPlan};
 
 keys! {
-    RANGE "range" = "(`limits.position` and 5 units more, else 1000 units both ways; a `modulo` axis turns without end, and its 32-bit position count wraps around)":
+    RANGE "range" = "(`limits.position` and 5 units more, else 1000 units both ways; a `modulo` axis turns "
+        "without end, and its 32-bit position count wraps around)":
         "mechanical range `[lowest, highest]`";
     HOME "home" = "(`0`, or the low end of the range)": "position of the home switch";
     START "start" = "(the middle of the range)": "position at power-on";
