@@ -197,6 +197,8 @@ pub mod telemetry {
     #[cfg(feature = "files")]
     pub use crate::files::telemetry::{blackbox, metrics, recording, report, summary};
     #[doc(inline)]
+    pub use fieldbeat_core::rt::Granted;
+    #[doc(inline)]
     pub use fieldbeat_telemetry::{
         AtEnd, AxisMotion, Band, BusClock, Cause, Causes, Condition, Counters, DeviceEnd, DriveEmergency,
         DriveEnd, DriveHistograms, Extent, Failure, Happened, Histograms, Judged, Largest, LoopPanic, Mark,

@@ -99,16 +99,20 @@ fn axes_that_a_killed_controller_left_moving_can_be_left_alone_and_are_named_at_
     );
 }
 
-/// The cycles of a recording, or of a black box, in the table that `export` makes of it; it ends with this code.
-fn cycles(machine: &Machine, file: &str, code: i32) -> Vec<u64> {
+/// The executed cycles of a recording, or of a black box, in the tables that `export` makes of it, and the first slot
+/// there, executed or skipped; it ends with this code.
+fn cycles(machine: &Machine, file: &str, code: i32) -> (Vec<u64>, Option<u64>) {
     let directory = machine.path("tables");
     let _ = std::fs::remove_dir_all(&directory);
     run(["export".as_ref(), machine.path(file).as_os_str(), "--csv".as_ref(), directory.as_os_str()])
         .expect(code);
     let cycle = |line: &str| line.split(',').find_map(|field| field.parse().ok()).unwrap();
-    // One without a cycle has no table.
-    let table = std::fs::read_to_string(directory.join("cycle.csv")).unwrap_or_default();
-    table.lines().skip(1).map(cycle).collect()
+    // What has no message has no table.
+    let table = |name| std::fs::read_to_string(directory.join(name)).unwrap_or_default();
+    let slots = |name| table(name).lines().skip(1).map(cycle).collect::<Vec<u64>>();
+    let (executed, skipped) = (slots("cycle.csv"), slots("skipped.csv"));
+    let first = executed.first().into_iter().chain(skipped.first()).min().copied();
+    (executed, first)
 }
 
 /// Kills demos at random instants. Returns by how many cycles each recording ended before its memory.
@@ -144,13 +148,13 @@ fn killed_demos(machine: &Machine, count: u64) -> Vec<u64> {
         let is_why = files[0]["why"].as_str().is_some_and(|text| text.starts_with(&why));
         assert!(is_why && files[0]["error"].is_null(), "{list:?}");
         let file = format!("boxes/{}", files[0]["file"].as_str().unwrap());
-        let in_memory = cycles(machine, &file, 0);
-        let recorded = cycles(machine, "run.mcap", 1);
+        let (in_memory, first_in_memory) = cycles(machine, &file, 0);
+        let (recorded, first_recorded) = cycles(machine, "run.mcap", 1);
         assert_eq!(files[0]["cycle"], *in_memory.last().unwrap());
         // The file begins with the run, and the memory has all that is not in it any more.
-        let whole = in_memory.first() == Some(&0) || recorded.first() == Some(&0);
+        let whole = [first_in_memory, first_recorded].contains(&Some(0));
         assert!(
-            whole && in_memory[0] <= recorded.last().map_or(0, |last| last + 1),
+            whole && first_in_memory <= Some(recorded.last().map_or(0, |last| last + 1)),
             "{in_memory:?} {recorded:?}"
         );
         in_memory.last().unwrap() - recorded.last().copied().unwrap_or(0)

@@ -329,7 +329,7 @@ impl DriveReports {
         Some(why)
     }
 
-    /// The fault, if it is another one.
+    /// A line once another master commands the drive.
     fn other_master(&mut self, stopped: Option<StopCause>) -> Option<String> {
         let other = stopped == Some(StopCause::OtherMaster);
         let before = std::mem::replace(&mut self.other_master, other);
@@ -337,6 +337,7 @@ impl DriveReports {
             .then(|| "another master commands it: its axis is stopped; end that master".to_owned())
     }
 
+    /// The fault, if it is another one.
     fn fault(&mut self, code: u32) -> Option<String> {
         let before = std::mem::replace(&mut self.fault, code);
         match code {

@@ -13,8 +13,8 @@ use fieldbeat_keys::value::{SHORT_NAME, alternatives, plain_name};
 
 keys! {
     PERIOD "period" = "1ms": "period of the cycle, 50 us ... 1 s";
-    CORE "core" = "(the last core)": "core of the real-time thread; best one that the kernel command line "
-        "isolates";
+    CORE "core" = "(the last core)": "core of the real-time thread, counted from 0; best one that the "
+        "kernel command line isolates, without the key the last one";
     PRIORITY "priority" = "80": "SCHED_FIFO priority, 1 ... 99";
     RECEIVE_DEADLINE "receive_deadline" = "0.5": "replies are received until this share of the period, "
         "0.05 ... 0.95; a later reply is a miss";
@@ -24,9 +24,10 @@ keys! {
         "stops all axes; `1.0`: not watched";
     MAX_LATE_SHARE "max_late_share" = "0.1": "largest share of cycles that began late (`late`) with which "
         "a run is [carried](diagnosis.md#carried-or-not); `1.0` judges none";
-    MAX_SKIPPED_SHARE "max_skipped_share" = "0.01": "likewise the largest share of skipped slots";
-    MAX_UNANSWERED_SHARE "max_unanswered_share" = "0.01": "likewise the largest share of exchanges that a "
-        "drive did not answer while it was online";
+    MAX_SKIPPED_SHARE "max_skipped_share" = "0.01": "largest share of skipped slots with which a run is "
+        "carried; `1.0` judges none";
+    MAX_UNANSWERED_SHARE "max_unanswered_share" = "0.01": "largest share of exchanges that a drive did not "
+        "answer while it was online with which a run is carried; `1.0` judges none";
     COST "cost" = "refuse": "a plan whose cycle [takes longer than its "
         "period](host.md#what-a-cycle-costs): `\"refuse\"`, `\"warn\"` starts it all the same, `\"off\"` "
         "estimates nothing";
@@ -134,7 +135,7 @@ fn guard(table: &mut Table<'_>) -> Option<Guard> {
     table.read(GUARD, Form::Time.or(Form::words(["off", "auto"])), |value| match value.as_str() {
         Some("off") => Ok(Guard::Off),
         Some("auto") => Ok(Guard::Auto),
-        _ => time(value, &(US..)).map(Guard::Fixed),
+        _ => time(value, &(US..)).map(Guard::Fixed).map_err(|why| format!("{why}, or \"auto\", or \"off\"")),
     })
 }
 

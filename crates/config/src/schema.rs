@@ -19,24 +19,10 @@ use fieldbeat_keys::value::TIME;
 /// What stands around the bus of a protocol while its keys are recorded. Ranges that depend on other keys differ
 /// between the two.
 const SURROUNDINGS: [(&str, &str); 2] = [
+    ("[cycle]\nperiod = \"1ms\"\n", ""),
     (
-        "[cycle]
-period = \"1ms\"
-",
-        "",
-    ),
-    (
-        "[cycle]
-period = \"2ms\"
-",
-        "[bus.defaults]
-scale = 3.0
-invert = true
-offset = 1.0
-limits.position = [-7.0, 9.0]
-divisor = \
-         3
-",
+        "[cycle]\nperiod = \"2ms\"\n",
+        "[bus.defaults]\nscale = 3.0\ninvert = true\noffset = 1.0\ndivisor = 3\nlimits.position = [-7, 9]\n",
     ),
 ];
 
@@ -64,16 +50,12 @@ pub fn schema() -> Value {
 pub(crate) fn record(protocol: &Protocol) -> Record {
     let record = RefCell::default();
     for (before, behind) in SURROUNDINGS {
-        let text = format!(
-            "{before}[[bus]]
-protocol = \"{}\"
-{behind}",
-            protocol.name
-        );
+        let text = format!("{before}[[bus]]\nprotocol = \"{}\"\n{behind}", protocol.name);
         let page = Page::new("", &text).recorded(&record);
-        // It is TOML; what is wrong with its values keeps no key from being read.
-        if let Ok(entries) = page.parse() {
-            super::machine(Table::root(&page, &entries), |_, _| {});
+        // What is wrong with values keeps no key from being read.
+        match page.parse() {
+            Ok(entries) => drop(super::machine(Table::root(&page, &entries), |_, _| {})),
+            Err(why) => unreachable!("{why}"),
         }
     }
     record.into_inner()

@@ -11,34 +11,40 @@ use fieldbeat_keys::keys;
 use fieldbeat_keys::table::{POSITIVE, Table, list, number, set};
 
 keys! {
-    ACCELERATION "acceleration" = "(`profile.acceleration`)": "acceleration and deceleration of these moves";
     AXIS "axis" = "none": "how an axis moves: one `[[soak.axis]]` each";
     DRIVE "drive" = "-": "name of the drive";
     MOVE "move" = "true": "`false`: the axis stays where it is, and is not enabled";
-    TARGETS "targets" = "(see above)": "positions, one after the other, again and again";
-    VELOCITIES "velocities" = "(see above)": "velocities, one after the other, again and again; "
-        "`jog_deadman` has to be 300 ms or more, or off";
+    TARGETS "targets" = "(40 % and 60 % of `limits.position`)": "positions, one after the other, again and "
+        "again";
+    VELOCITIES "velocities" = "(10 % of `limits.velocity` both ways, of an axis without moves)":
+        "velocities, one after the other, again and again; `jog_deadman` has to be 300 ms or more, or off";
     VELOCITY "velocity" = "(`profile.velocity`)": "velocity of these moves";
+    ACCELERATION "acceleration" = "(`profile.acceleration`)": "acceleration and deceleration of these moves";
     PAUSE "pause" = "500ms": "time between two of these moves";
     HOLD "hold" = "2s": "each of the velocities is held for so long";
-    FOLLOWING_ERROR "following_error" = "none": "criterion: the largest following error that is good, in "
-        "user units";
-    CENTRE "centre" = "-": "middle of a sine that is streamed row by row";
-    AMPLITUDE "amplitude" = "-": "the sine goes so far to each side of its middle";
+    FOLLOWING_ERROR "following_error" = "none": "largest following error that is good, in user units";
+    CENTRE "centre" = "-": "middle of a sine that is streamed row by row: `sine = { centre = 50.0, "
+        "amplitude = 10.0, period = \"2s\" }`";
+    AMPLITUDE "amplitude" = "-": "largest distance from `centre`: `sine = { centre = 50.0, amplitude = "
+        "10.0, period = \"2s\" }`";
     PERIOD "period" = "-": "time of one swing: `sine = { centre = 50.0, amplitude = 10.0, period = \"2s\" "
         "}`. The sine grows within its first two; its largest velocity is 2 pi `amplitude` / `period` "
         "meanwhile, too, and its largest acceleration 1.5 % above that of the whole sine";
-    LATE_SHARE "late_share" = "0.001": "skipped slots, and late cycles that skipped none, of all slots";
-    MISSED_SHARE "missed_share" = "0.001": "missed exchanges of each drive, of those that were sent";
-    LOST_LINKS "lost_links" = "0": "lost links of all drives";
-    FAULTS "faults" = "0": "faults of all drives";
-    STOPS "stops" = "0": "stops of all axes, but for the end";
-    MEMORY_GROWTH "memory_growth" = "8": "growth of the memory of a process after its warm-up, MB";
-    DESCRIPTOR_GROWTH "descriptor_growth" = "0": "growth of the number of its descriptors";
-    DRIFT "drift" = "0.5": "growth of a p99 from the first quarter of the test to the last, as a share of "
-        "the first";
-    TELEMETRY_LOST "telemetry_lost" = "0": "telemetry records lost";
-    FILES_LOST "files_lost" = "0": "checkpoints that could not be written";
+    LATE_SHARE "late_share" = "0.001": "largest share that is good of skipped slots, and late cycles that "
+        "skipped none, in all slots; `0.001` is one in a thousand";
+    MISSED_SHARE "missed_share" = "0.001": "largest share that is good of missed exchanges of each drive "
+        "in those that were sent";
+    LOST_LINKS "lost_links" = "0": "most lost links of all drives that are good";
+    FAULTS "faults" = "0": "most faults of all drives that are good";
+    STOPS "stops" = "0": "most stops of all axes that are good, but for the end";
+    MEMORY_GROWTH "memory_growth" = "8": "largest growth that is good of the memory of a process after its "
+        "warm-up, MB";
+    DESCRIPTOR_GROWTH "descriptor_growth" = "0": "largest growth that is good of the number of descriptors "
+        "of a process";
+    DRIFT "drift" = "0.5": "largest growth that is good of a p99 from the first quarter of the test to the "
+        "last, as a share of the first";
+    TELEMETRY_LOST "telemetry_lost" = "0": "most telemetry records that may be lost";
+    FILES_LOST "files_lost" = "0": "most checkpoints that may not be written";
     WARM_UP "warm_up" = "10min": "memory and descriptors of a process are judged from then on";
 }
 

@@ -87,7 +87,7 @@ keys! {
     CLOSED "closed" = "true": "the drive is enabled while that input is closed; `false`: while it is open";
     HOMING_METHOD "method" = "-": "`\"seek\"`: SH, to an input, where the master then sets the drive's "
         "position to 0; `\"find\"`: FH. The position of home is `offset`. Without `homing` the axis "
-        "refuses to home";
+        "refuses to home; with it all five keys are required";
     HOMING_INPUT "input" = "-": "the input with its condition: `\"2L\"` is input 2, low; 0 (index of the "
         "encoder) ... 12, then H, L, R or F";
     HOMING_VELOCITY "velocity" = "-": "velocity of the homing, units/s";

@@ -60,10 +60,12 @@ keys! {
         "position of an axis that runs on without end begins at 0 again. Without it the positions end with "
         "the 32-bit counts of the drive, and a move behind that end is refused";
     POSITION "position" = "none": "allowed range, units: `[lowest, highest]`";
-    VELOCITY "velocity" = "none": "largest velocity, units/s";
-    ACCELERATION "acceleration" = "none": "largest acceleration, units/s²";
-    STEP "step" = "none": "largest distance between two streamed rows";
-    TORQUE "torque" = "none": "largest torque setpoint, % of the rated torque";
+    VELOCITY "velocity" = "none": "largest velocity, units/s; without it the drive's own limit holds";
+    ACCELERATION "acceleration" = "none": "largest acceleration, units/s²; without it the drive's own "
+        "limit holds";
+    STEP "step" = "none": "largest distance between two streamed rows, units; without it there is no limit";
+    TORQUE "torque" = "none": "largest torque setpoint, % of the rated torque; without it the drive's own "
+        "limit holds";
     HOMING "homing" = "(that of velocity)": "largest speed while it homes, units/s";
     FOLLOWING_ERROR "following_error" = "([what follows from `limits.velocity`](stops.md#following-error) "
         "where the demand is the master's)":

@@ -6,23 +6,25 @@ use fieldbeat_keys::keys;
 use fieldbeat_keys::table::Table;
 
 keys! {
-    SEED "seed" = "0": "seed of the random faults; each drive adds its place in the file";
-    DROP "drop" = "0": "rate of lost datagrams";
-    DUPLICATE "duplicate" = "0": "rate of duplicated datagrams";
-    CORRUPT "corrupt" = "0": "rate of datagrams with a wrong bit";
-    DELAY "delay" = "0": "rate of delayed datagrams";
+    SEED "seed" = "0": "seed of the random faults: the same seed gives the same faults; each drive adds "
+        "its place in the file";
+    DROP "drop" = "0": "probability that a datagram is lost, 0 ... 1";
+    DUPLICATE "duplicate" = "0": "probability that a datagram comes twice, 0 ... 1";
+    CORRUPT "corrupt" = "0": "probability that a datagram has a wrong bit, 0 ... 1";
+    DELAY "delay" = "0": "probability that a datagram is delayed, 0 ... 1";
     DELAY_BY "delay_by" = "(one period of the drive)": "how much later a delayed datagram arrives";
-    REORDER "reorder" = "0": "rate of datagrams that overtake each other";
-    STALL "stall" = "0": "rate of stalls: the drive stops answering";
+    REORDER "reorder" = "0": "probability that two datagrams overtake each other, 0 ... 1";
+    STALL "stall" = "0": "probability that the drive stops answering, 0 ... 1";
     STALL_FOR "stall_for" = "100ms": "length of a stall";
-    RESTART "restart" = "0": "rate of restarts of the drive";
-    STO "sto" = "0": "rate at which the hardware enable (STO) opens";
+    RESTART "restart" = "0": "probability that the drive restarts, 0 ... 1";
+    STO "sto" = "0": "probability that the hardware enable (STO) opens, 0 ... 1";
     STO_FOR "sto_for" = "100ms": "how long the hardware enable stays open";
-    WRONG_ID "wrong_id" = "0": "rate of replies with a wrong identity";
-    SPLIT "split" = "0": "rate of messages on a connection that arrive one byte at a time";
-    CUT "cut" = "0": "rate of connections that end in the middle of a reply";
-    SEGMENT_LOSS "segment_loss" = "0": "rate of lost TCP segments. TCP sends a lost segment again after "
-        "200 ms, and after twice the time each time after that; later ones wait behind it";
+    WRONG_ID "wrong_id" = "0": "probability that a reply has a wrong identity, 0 ... 1";
+    SPLIT "split" = "0": "probability that a message on a connection arrives one byte at a time, 0 ... 1";
+    CUT "cut" = "0": "probability that a connection ends in the middle of a reply, 0 ... 1";
+    SEGMENT_LOSS "segment_loss" = "0": "probability that a TCP segment is lost, 0 ... 1. TCP sends a lost "
+        "segment again after 200 ms, and after twice the time each time after that; later ones wait behind "
+        "it";
     ANSWER_TIME "answer_time" = "0us": "time from a request to its reply";
 }
 

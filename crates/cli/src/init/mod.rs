@@ -24,7 +24,7 @@ use self::ask::Answers;
 use self::draft::{Block, Draft};
 use super::Stop;
 
-/// The most drives of a bus.
+/// The most drives that it configures.
 const MOST_DRIVES: usize = 128;
 /// The longest period that is tried where the usual one does not do.
 const LONGEST_MS: u64 = 512;

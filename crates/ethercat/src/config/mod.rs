@@ -66,8 +66,8 @@ keys! {
         "\"0x8005:0.text\", value = \"left axis\" }`, `{ object = \"0x8005:1.octets\", value = \"01 A0 "
         "FF\" }`";
     WATCHDOG "watchdog" = "(as its SII has it)": "SyncManager watchdog: without outputs for so long, "
-        "`\"100us\"` ... `\"6553.5ms\"`, the slave falls back by itself; or `\"off\"`. See "
-        "[below](#the-watchdog-of-a-slave)";
+        "`\"100us\"` ... `\"6553.5ms\"`, the slave falls back by itself; or `\"off\"`. Most digital output "
+        "terminals have one of 100 ms. See [below](#the-watchdog-of-a-slave)";
     OUTPUTS "outputs" = "\"0x1702\"": "process data to the drive: a known fixed PDO (`\"0x1701\"` "
         "position, `\"0x1702\"` velocity, `\"0x1703\"` torque), a list of objects to map, or `{ pdo = "
         "\"0x1704\", objects = [...] }`";

@@ -25,10 +25,10 @@ keys! {
     IDENTIFICATION "identification" = "any": "required answer to a request for its identification (AL "
         "control bit 5, code in 0134h), 0 ... 65535: its selectors, or a number stored in it";
     OUT "out" = "(`[0x1800, 16]`, of an AKD 1024 bytes; a device has none)":
-        "mailbox of the slave for requests: start address and length; a device without mailboxes has no "
-        "objects";
+        "mailbox of the slave for requests, start address and length: `[0x1800, 128]`; a device without "
+        "mailboxes has no objects";
     IN "in" = "(`[0x1C00, 16]`, of an AKD 1024 bytes; a device has none)":
-        "mailbox for answers: start address and length";
+        "mailbox of the slave for answers, start address and length: `[0x1C00, 128]`";
 }
 
 /// The most objects in a PDO: what its subindices count comfortably.

@@ -22,7 +22,8 @@ use fieldbeat_keys::value;
 keys! {
     X_DIMENSION "x_dimension" = "(`26` for a time curve, `27` for a cam)":
         "the drive's number for the unit of x: 26 time, 27 encoder, 5 position";
-    Y_DIMENSION "y_dimension" = "5": "the same for the setpoints";
+    Y_DIMENSION "y_dimension" = "5": "the drive's number for the unit of the setpoints: 26 time, 27 "
+        "encoder, 5 position";
     WIZARD "wizard" = "0": "how the vendor's tool made the curve";
     KIND "kind" = "-": "`\"time\"`, or `\"cam\"` over the counts of an encoder";
     ID "id" = "-": "number of the curve, 1 ... 100";

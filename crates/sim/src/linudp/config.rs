@@ -15,8 +15,8 @@ keys! {
     RANGE "range" = "(`limits.position` and 5 units more, else 1000 units both ways; a `modulo` axis turns "
         "without end, and its 32-bit position count wraps around)":
         "mechanical range `[lowest, highest]`";
-    HOME "home" = "(`0`, or the low end of the range)": "position of the home switch";
-    START "start" = "(the middle of the range)": "position at power-on";
+    HOME "home" = "(`0`, or the low end of the range)": "position of the home switch, inside the range";
+    START "start" = "(the middle of the range)": "position at power-on, inside the range";
     SERIAL "serial" = "(as of the drive, else `0`)": "the number in its parameter `serial_from`";
     PADDING "padding" = "14": "shortest payload in bytes: `0`, `14` or `64`";
     MASS "mass" = "1": "moving mass, kg";

@@ -13,7 +13,8 @@ use fieldbeat_modbus::{ModbusPlan, UnidriveDrive};
 keys! {
     MENU_0 "menu_0" = "true": "Pr 22.001 and following set what menu 0 shows";
     CONNECTIONS "connections" = "4": "largest number of simultaneous connections";
-    RUNNING "running" = "none": "starts enabled at this velocity, as if another master had died";
+    RUNNING "running" = "none": "starts enabled at this velocity, up to the rated speed, as if another "
+        "master had died";
     SERIAL "serial" = "(as of the drive, else `0`)": "its serial number, in Pr 11.052 and 11.053";
     FC23 "fc23" = "true": "the drive supports FC23, a write and a read in one request; `false` refuses it, "
         "`\"ignored\"` does not answer, `\"closes\"` ends the connection";

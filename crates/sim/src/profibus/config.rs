@@ -27,7 +27,8 @@ keys! {
         "answers a search, gives way";
     CONFIGURATION "configuration" = "(as the drive's)": "identifier bytes that it wants, and reads out by "
         "Get_Cfg";
-    RUNNING "running" = "none": "starts enabled at this velocity, as if another master had died";
+    RUNNING "running" = "none": "starts enabled at this velocity, up to the full speed, as if another "
+        "master had died";
     IDENT "ident" = "(as the drive's)": "ident number";
     ANSWER_BITS "answer_bits" = "(`min_tsdr`)": "time before an answer, bits";
     SD3 "sd3" = "false": "sends 8 bytes of data as SD3";

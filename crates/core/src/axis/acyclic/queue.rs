@@ -157,6 +157,7 @@ impl Acyclic {
     }
 
     /// Posts a call and returns at once.
+    #[doc(hidden)]
     pub fn post(&self, call: Call, limit: Duration) -> Result<CallTicket, PostError> {
         let mut ends = self.ends();
         self.room(&mut ends, &[call])?;
@@ -167,6 +168,7 @@ impl Acyclic {
     }
 
     /// Posts calls that belong together, all or none: the first failure ends the later ones.
+    #[doc(hidden)]
     pub fn post_series(&self, calls: &[Call], limit: Duration) -> Result<Vec<CallTicket>, PostError> {
         let mut ends = self.ends();
         self.room(&mut ends, calls)?;
@@ -186,6 +188,7 @@ impl Acyclic {
 
     /// As [`Carrier::run`], for a caller that has other work meanwhile: `rest` is called between two looks, and
     /// once it returns false, the calls that have not ended are cancelled.
+    #[doc(hidden)]
     pub fn run_while(&self, calls: &[Call], limit: Duration, mut rest: impl FnMut() -> bool) -> Series {
         let mut series = Series::default();
         for calls in calls.chunks(self.shared.with_executor.capacity) {

@@ -320,9 +320,8 @@ impl DriveController {
             (_, Latch::Kept(cause) | Latch::Down(cause, _)) => return Err(Failure::Latched(*cause)),
         }
         let state = self.feedback.status.state;
-        let native = |owner| queued.command == Command::Native(owner);
-        // Alone, the application may take a drive in any state. In a group no member acts without the others.
-        let taken_as_it_is = native(NativeOwner::Application) && queued.call.is_none();
+        // In any state, given to the axis alone: in a group no member acts without the others.
+        let native = |owner| queued.command == Command::Native(owner) && queued.call.is_none();
         match queued.command {
             Command::Reset if !self.duty.latch().is_settled() && !self.answers() => Err(Failure::NotOnline),
             Command::Reset => Ok(()),
@@ -332,7 +331,7 @@ impl DriveController {
             Command::Disable if self.plan.load != Load::Level && state.is_powered() && !self.stands() => {
                 Err(Failure::LoadInMotion)
             }
-            _ if !queued.command.moves() || taken_as_it_is => Ok(()),
+            _ if !queued.command.moves() || native(NativeOwner::Application) => Ok(()),
             _ if state != State::OperationEnabled && !native(NativeOwner::Master) => {
                 Err(Failure::WrongState(state))
             }

@@ -20,8 +20,9 @@ keys! {
     ALIAS "alias" = "(as `alias` of the drive, else `0`)": "configured station alias; 0: none";
     IDENTIFICATION "identification" = "(as `identification` of the drive, else none)":
         "its answer to a request for its identification, 0 ... 65535";
-    EMULATED "emulated" = "false": "it has no processor: AL status is what AL control says, and nothing is "
-        "checked (device emulation, 0141h bit 0)";
+    EMULATED "emulated" = "(`false` of a drive; of a device that of its type, and `true` without mailboxes)":
+        "it has no processor: AL status is what AL control says, and nothing is checked (device emulation, "
+        "0141h bit 0)";
     EXACT_MANAGERS "exact_managers" = "false": "compares its SyncManagers with its SII byte by byte: "
         "refuses PREOP with 0016h, SAFEOP with 001Dh or 001Eh";
     OUTPUT_CONTROL "output_control" = "(`0x64`; AKD `0x24`; `0x44` of outputs below 0x1000)":
@@ -47,8 +48,8 @@ keys! {
     RESENDS "resends" = "true": "sends its last message again on request; `false`: only acknowledges that";
     SLAVE "slave" = "-": "name of the slave in front of it, at a branch; without `behind` it is at port 1 "
         "of the slave before it";
-    PORT "port" = "-": "port there, 1 ... 3. A frame leaves a slave by ports 3, 1 and 2, and positions "
-        "count in that order";
+    PORT "port" = "-": "port of that slave that it is connected to, 1 ... 3. A frame leaves a slave by "
+        "ports 3, 1 and 2, and positions count in that order";
 }
 
 /// The slaves of a bus by their names.
