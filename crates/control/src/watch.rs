@@ -113,17 +113,17 @@ pub struct Watch {
     /// The same in each conversation: it distinguishes one master from the next.
     epoch_ns: u64,
     watchers: Arc<AtomicUsize>,
-    seat: Option<Seat>,
+    subscription: Option<Subscription>,
 }
 
 /// One of the watchers, and its records.
 #[derive(Debug)]
-struct Seat {
+struct Subscription {
     tap: Tap,
     watchers: Arc<AtomicUsize>,
 }
 
-impl Drop for Seat {
+impl Drop for Subscription {
     fn drop(&mut self) {
         self.watchers.fetch_sub(1, Ordering::Relaxed);
     }
@@ -133,7 +133,7 @@ impl Clone for Watch {
     /// For another conversation with the same master.
     fn clone(&self) -> Watch {
         let (monitor, watchers) = (self.monitor.clone(), Arc::clone(&self.watchers));
-        Watch { monitor, epoch_ns: self.epoch_ns, watchers, seat: None }
+        Watch { monitor, epoch_ns: self.epoch_ns, watchers, subscription: None }
     }
 }
 
@@ -142,7 +142,7 @@ impl Watch {
     pub fn new(monitor: &Monitor) -> Watch {
         let date = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).map_or(0, nanos);
         let epoch_ns = date.saturating_sub(MonotonicClock::read().0);
-        Watch { monitor: monitor.clone(), epoch_ns, watchers: Arc::default(), seat: None }
+        Watch { monitor: monitor.clone(), epoch_ns, watchers: Arc::default(), subscription: None }
     }
 
     /// The answer to `watch`; `None` to any other question.
@@ -151,13 +151,13 @@ impl Watch {
     }
 
     fn begin(&mut self) -> Result<About, String> {
-        self.seat = None;
+        self.subscription = None;
         let one_more = |watchers: usize| (watchers < MOST_WATCHERS).then_some(watchers + 1);
         if self.watchers.fetch_update(Ordering::Relaxed, Ordering::Relaxed, one_more).is_err() {
             return Err(format!("{MOST_WATCHERS} others watch this master already; end one of them"));
         }
         let watchers = Arc::clone(&self.watchers);
-        self.seat = Some(Seat { tap: self.monitor.tap(ROOM), watchers });
+        self.subscription = Some(Subscription { tap: self.monitor.tap(ROOM), watchers });
         let header = header(self.monitor.plan());
         Ok(About { pid: std::process::id(), layout: LAYOUT, epoch_ns: self.epoch_ns, header })
     }
@@ -165,7 +165,10 @@ impl Watch {
     /// The stream that `records` begins; `None`: the question is another one, or nothing was announced.
     pub fn stream(&mut self, question: &Value, send: &mut Sender<'_>) -> Option<io::Result<()>> {
         let is_records = question["ask"] == "records";
-        self.seat.take().filter(|_| is_records).map(|seat| Stream::new(&self.monitor, seat).run(send))
+        self.subscription
+            .take()
+            .filter(|_| is_records)
+            .map(|subscription| Stream::new(&self.monitor, subscription).run(send))
     }
 
     /// The same without a socket file, for a display in the master's own process.
@@ -189,7 +192,7 @@ impl Watch {
 /// A stream under way, at the master's side.
 struct Stream<'a> {
     monitor: &'a Monitor,
-    seat: Seat,
+    subscription: Subscription,
     names: Vec<FaultNames>,
     /// The faults that were named: axis and code.
     named: Vec<(u16, u32)>,
@@ -197,15 +200,15 @@ struct Stream<'a> {
 }
 
 impl Stream<'_> {
-    fn new(monitor: &Monitor, seat: Seat) -> Stream<'_> {
+    fn new(monitor: &Monitor, subscription: Subscription) -> Stream<'_> {
         let names = monitor.plan().fault_names();
-        Stream { monitor, seat, names, named: Vec::new(), bytes: Vec::new() }
+        Stream { monitor, subscription, names, named: Vec::new(), bytes: Vec::new() }
     }
 
     fn run(mut self, send: &mut Sender<'_>) -> io::Result<()> {
         let mut news_at = None;
         loop {
-            let batch = match self.seat.tap.next(LOOK_EVERY) {
+            let batch = match self.subscription.tap.next(LOOK_EVERY) {
                 Ok(batch) => Some(batch),
                 Err(NoBatch::Yet) => None,
                 Err(NoBatch::AnyMore) => return Ok(()),
@@ -280,13 +283,13 @@ impl Stream<'_> {
 
     fn news(&self, faults: Vec<(usize, u32, String)>, events: Vec<Happened>) -> News {
         let (late, status) = (self.new_late(), self.monitor.status());
-        let (lost, dropped, late_count) = (self.seat.tap.lost(), status.lost_records, status.late);
+        let (lost, dropped, late_count) = (self.subscription.tap.lost(), status.lost_records, status.late);
         News { lost, dropped, late_count, faults, events, late }
     }
 
     fn new_late(&self) -> Vec<Late> {
         let plan = self.monitor.plan();
-        let late = self.seat.tap.late().map(|judged| {
+        let late = self.subscription.tap.late().map(|judged| {
             let (cause, delay_ns) = (judged.cause, judged.lateness.ns());
             let tally = Tally { cause, count: 1, worst_ns: delay_ns, worst_cycle: judged.index };
             Late { cycle: judged.index, delay_ns, cause: Found::of(&tally, plan).to_string() }

@@ -292,7 +292,7 @@ impl TerminalPort {
         (self.newest, self.taken) = ([0; TERMINAL_MAX], false);
     }
 
-    /// The inputs came in.
+    /// New inputs were received.
     pub fn publish(&mut self, at: Time, operational: bool, inputs: &[u8]) {
         self.port.runs(operational);
         self.port.publish(at, 0, inputs);

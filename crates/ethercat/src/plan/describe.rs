@@ -12,7 +12,7 @@ use fieldbeat_core::time::Ns;
 
 impl EthercatPlan {
     /// The lines of `check`: a paragraph a drive, whose first line is its address, then a line each of what else there
-    /// is to say of the line.
+    /// is to say of the segment.
     pub fn describe(&self, period_ns: u64) -> Vec<String> {
         let drive = |drive: &KollmorgenDrive| {
             let mut lines = vec![self.address(&drive.slave)];

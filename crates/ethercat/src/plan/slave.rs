@@ -14,7 +14,7 @@ const STATE_TIMEOUT_NS: u64 = 5 * S;
 /// The segment's settings of a slave, drive or not.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SlavePlan {
-    /// The place on the line: 0 is next to the master.
+    /// The position in the segment: 0 is next to the master.
     pub place: u16,
     /// Who it has to be; a number that is left out may be any.
     pub identity: Expected,

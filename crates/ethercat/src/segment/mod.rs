@@ -42,10 +42,10 @@ pub trait Handler {
     /// The mailbox of a slave.
     fn service(&mut self, owner: Owner) -> Option<&mut Service>;
 
-    /// The turn has come: its mailbox, which takes the requests that were posted meanwhile.
+    /// The turn of the slave: its mailbox, which takes the requests that were posted meanwhile.
     fn advance(&mut self, owner: Owner, now: Time) -> Option<&mut Service>;
 
-    /// The replies count from now on, in this state, or not any more.
+    /// The replies of the slave count from now on, in this state, or not any more.
     fn state(&mut self, owner: Owner, state: SlaveState);
 
     /// The own values of objects that its outputs carry.
@@ -116,7 +116,7 @@ pub struct Segment {
     pub clock: SegmentClock,
     /// The slave whose clock is the segment's, or is to be.
     reference: Option<usize>,
-    /// The clock leads the grid; otherwise it receives the grid's time.
+    /// The clock of the segment leads the grid; otherwise it receives the grid's time.
     pub leads: bool,
     /// The reference's time goes to all.
     pub timed: bool,
@@ -279,7 +279,7 @@ impl Segment {
         self.reference = first(|slave| slave.clock_set).or_else(|| first(Slave::waits_for_clock));
     }
 
-    /// The time goes to all, once it is known that no slave runs on another one.
+    /// The time is sent to all slaves, once it is known that no slave runs on another one.
     fn begin_time(&mut self) {
         let is_set = self.set_clock().is_some();
         self.timed = is_set && (self.timed || self.may_have_time());

@@ -84,7 +84,7 @@ pub struct Context<'a> {
     pub clock: SegmentClock,
     /// The station address of the slave whose clock is the segment's, or is to be.
     pub reference: Option<u16>,
-    /// The time goes to all.
+    /// The time of the reference clock is sent to all slaves.
     pub timed: bool,
     /// It does, or may begin to.
     pub may_begin: bool,
