@@ -31,7 +31,7 @@ keys! {
         "number of another command";
     COUNT "count" = "0": "the lowest 4 bits of the header of the command";
     RESERVED "reserved" = "(zeros)": "the last 10 bytes of the entry";
-    NEXT "next" = "none": "the entry that follows; without it the sequence ends here";
+    NEXT "next" = "none": "number of the entry that follows, 1 ... 255; without it the sequence ends here";
 }
 
 /// Reads the command table at `path`.
@@ -221,7 +221,10 @@ fn field(table: &mut Table<'_>, field: &Field) -> Option<i64> {
     let [low, high] = [low, high].map(|bound| value::decimal(bound.into(), kind.decimals()));
     let range = format!("{low} to {high} {}", kind.unit());
     let range = range.trim_end();
-    let key = key(field.name, "-", "a parameter of the command");
+    if !table.gives(field.name) {
+        table.fault(field.name, format!("missing; a parameter of the command, {range}"));
+    }
+    let key = key(field.name, "(required)", "a parameter of the command");
     let form = if kind.decimals() == 0 { Form::integer(..) } else { Form::number(..) };
     table.read(key, form, |value| match kind.decimals() {
         0 => (integer(value).and_then(|value| i64::try_from(value).ok()))
