@@ -34,7 +34,7 @@ fn machines(machine: &Machine) -> Vec<(PathBuf, &'static str, String)> {
         (
             "kollmorgen.toml",
             format!("protocol = \"ethercat\"\ninterface = \"{segment}\"\n"),
-            "watchdog = \"6s\"\n".to_owned(),
+            "watchdog = \"off\"\n".to_owned(),
             format!("interface {segment} is in use by another master"),
             "0x6041:0",
         ),
@@ -151,7 +151,7 @@ fn resources_of_a_killed_master_are_free_and_commands_touch_no_slave_in_op() {
         await_online(&config);
         first.kill();
         if config.ends_with("kollmorgen.toml") {
-            // Its watchdog has not expired yet.
+            // It has no watchdog that would take it out of OP.
             let get = ask("param get", &config, &format!("x {address}"));
             get.refused(&[
                 "the slave at place 0 of its segment is in OP, and nothing may disturb it",

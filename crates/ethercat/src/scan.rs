@@ -222,9 +222,13 @@ pub(super) enum Busy {
     },
 }
 
+/// A segment is asked so often, each time with all its attempts, before its silence counts.
+const ROUNDS_OF_SILENCE: u32 = 5;
+
 /// Whether a master may come to the segment behind `frames` for one drive only: no slave is in OP, nor in SAFEOP
 /// without an error: that is one which its master is bringing up, while a drive whose watchdog has expired shows the
-/// error. It only reads. A segment that does not answer is idle.
+/// error. It only reads. A segment that does not answer for a while is idle: one whose answers are late is not, and a
+/// drive in OP would be disturbed.
 pub(super) fn require_idle(frames: &mut dyn Frames) -> Result<(), Busy> {
     let mut exchange = Exchange::new(frames, &|| true);
     let status = |exchange: &mut Exchange<'_>, command| match exchange.ask(&[Ask::read(command, 2)]) {
@@ -236,7 +240,14 @@ pub(super) fn require_idle(frames: &mut dyn Frames) -> Result<(), Busy> {
         Err(_) => Ok((0, AlStatus(0))),
     };
     // The states of all slaves, or-ed: each has a bit of its own but BOOT, which has those of INIT and PREOP.
-    let (count, all) = status(&mut exchange, Command::Brd(address::AL_STATUS))?;
+    let mut found = (0, AlStatus(0));
+    for _ in 0..ROUNDS_OF_SILENCE {
+        found = status(&mut exchange, Command::Brd(address::AL_STATUS))?;
+        if found.0 > 0 {
+            break;
+        }
+    }
+    let (count, all) = found;
     let used = u16::from(AlState::SafeOp.number() | AlState::Op.number());
     if all.0 & used == 0 {
         return Ok(());
