@@ -222,7 +222,7 @@ pub(super) enum Busy {
     },
 }
 
-/// A segment is asked so often, each time with all its attempts, before its silence counts.
+/// The number of requests, each with all its attempts, without an answer until a segment counts as silent.
 const ROUNDS_OF_SILENCE: u32 = 5;
 
 /// Whether a master may come to the segment behind `frames` for one drive only: no slave is in OP, nor in SAFEOP

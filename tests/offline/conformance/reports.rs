@@ -159,7 +159,7 @@ pub fn a_restart_is_noticed_once_and_what_was_known_is_forgotten(subject: &'stat
                 );
             }
         }
-        // On a connection that was opened anew nothing says why the one before has ended.
+        // On a connection that was opened again nothing says why the one before has ended.
         assert_eq!(noticed, u32::from(!line.can.sessions), "silent for {silent} cycles");
         let Slot { status: report, .. } = &line.slots[0];
         assert!(!report.state.is_powered() && !report.moving, "{report:?}");

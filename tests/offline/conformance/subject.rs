@@ -154,7 +154,7 @@ pub struct Can {
     /// the newest for several exchanges, and several may come between two.
     pub own_clock: bool,
     /// The packets of each drive go on a connection that a session outside the loop has opened: it ends with the
-    /// packets, and is opened anew after a pause. Nothing in a packet shows that its drive was switched off meanwhile:
+    /// packets, and is opened again after a pause. Nothing in a packet shows that its drive was switched off meanwhile:
     /// what was known of it ends with the connection.
     pub sessions: bool,
     /// A stop has the ramp of the motion that it ends, if that is steeper than its own, or the steepest one.

@@ -29,7 +29,7 @@ impl Grid {
         }
     }
 
-    /// The number of cycles after the one at the begin of `within_ns` until its end is known.
+    /// The number of cycles after the one at the start of `within_ns` until its end is known.
     pub fn cycles_behind(&self, within_ns: u64) -> u64 {
         within_ns.saturating_sub(self.deadline_ns).div_ceil(self.period_ns.max(1))
     }

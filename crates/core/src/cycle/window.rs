@@ -300,7 +300,7 @@ mod tests {
     struct Steps {
         steps: Vec<(&'static str, Time)>,
         arrives: Time,
-        /// The number of readings at the begin of a turn in which nothing had come.
+        /// The number of readings at the start of a turn that found nothing.
         turns: usize,
     }
 

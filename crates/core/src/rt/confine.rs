@@ -5,7 +5,7 @@
 //!
 //! | thread | keeps |
 //! |---|---|
-//! | the loop, the watch, the signals, the operation of axes, metrics, control | nothing: all is open, priorities are set |
+//! | the loop, the watch, the signals, the operation of axes, metrics, control | nothing: all is open, priorities set |
 //! | the link thread | [`Keep::Files`], for a serial port that is opened again; a connection needs no right |
 //! | telemetry, recorder, black box, checkpoints, the scope, who called the start | [`Keep::Files`] |
 //! | simulated drives | nothing: low ports and raw frames stay open, also without a cable |

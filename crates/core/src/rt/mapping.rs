@@ -30,7 +30,7 @@ use super::clock::MonotonicClock;
 /// Where named memory is.
 const DIRECTORY: &str = "/dev/shm";
 
-/// The begin of its names.
+/// The prefix of the names of mappings.
 const PREFIX: &str = "fieldbeat-";
 
 /// Zeroed memory, page by page.

@@ -272,7 +272,7 @@ impl Service {
         }
     }
 
-    /// The answer was lost, or is late: the transfer begins anew, as often as it may.
+    /// The answer was lost, or is late: the transfer is repeated, as often as it may.
     fn repeat(&mut self, now: Time) {
         // Its power may have come on meanwhile.
         let call = self.active.as_ref().and_then(Active::call);

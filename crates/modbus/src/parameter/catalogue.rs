@@ -1,7 +1,7 @@
 //! What is known of single parameters, by menu.
 //!
 //! Addresses and meanings are those of the SI-Ethernet and SI-PROFIBUS guides and of masters in the field. Width,
-//! decimals and range of most could not be looked up in a document: those are marked [`assumed`](ParameterInfo::assumed),
+//! decimals and range of most are in no document at hand: those are marked [`assumed`](ParameterInfo::assumed),
 //! and are known of drives of this family. A drive has many more parameters, and checks every value itself.
 
 use super::{Parameter, SLOT_MAX, Width};

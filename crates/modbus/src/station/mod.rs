@@ -106,7 +106,7 @@ pub struct Station {
     control_taken: Option<ControlWord>,
 }
 
-/// The state that begins anew with each connection: the drive's values are not known until they are read back, nor its
+/// The state that is reset with each connection: the drive's values are not known until they are read back, nor its
 /// state until it reports again.
 #[derive(Debug, Default)]
 #[repr(C)]

@@ -145,7 +145,7 @@ impl Machine {
     }
 }
 
-/// The begin of the keys under which the metadata of an axis' channel name a code.
+/// The prefix of the keys under which the metadata of an axis' channel name a code.
 const FAULT: &str = "fault ";
 
 /// The codes that the metadata of an axis' channel name, and their names.

@@ -52,7 +52,7 @@ pub struct Writer<W: Write> {
     /// The log of the loop, if it is recorded, too.
     wire: Option<Wire>,
     every: Table<At<()>>,
-    /// The begin of the messages of a cycle, and which cycle and instant that is.
+    /// The first fields of the messages of a cycle, and which cycle and instant that is.
     begun: Begun,
     begun_of: (u64, Time),
     /// Those of a cycle whose own record is still to come.

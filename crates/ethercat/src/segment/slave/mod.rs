@@ -140,7 +140,7 @@ pub enum Happened {
     GivesTime(u32),
 }
 
-/// The progress on the way to OP. It begins anew with another one.
+/// The progress of a bring-up to OP. Each bring-up has one of its own.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Way {
     /// It has its station address, and is reached by it.
@@ -422,7 +422,7 @@ impl Slave {
         self.start_over(now, LOOK_EVERY_NS, note);
     }
 
-    /// Data meant for another slave may have been written to it: it is looked at, and set up anew.
+    /// Data meant for another slave may have been written to it: it is examined, and set up again.
     pub fn doubted(&mut self, now: Time) {
         self.doubt();
         self.lost(now);

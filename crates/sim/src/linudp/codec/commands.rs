@@ -5,7 +5,7 @@
 //!
 //! | letter | field |
 //! |---|---|
-//! | `P` `V` `A` `J` | position (i32, 0.1 um), velocity (u32, um/s), acceleration or deceleration (u32, 1e-5 m/s2), jerk (u32) |
+//! | `P` `V` `A` `J` | position (i32, 0.1 um), velocity (u32, um/s), acceleration, deceleration (u32, 1e-5 m/s2), jerk (u32) |
 //! | `p` `v` `a` | position (i16), velocity and acceleration (u16) of the 16-bit commands, each with a scale |
 //! | `l` `u` `h` `w` | a number: i32, u32, i16, u16 |
 
